@@ -1,0 +1,53 @@
+"""The one way this package compiles a function: numba, cached, with a cache that cannot go stale.
+
+Numba's own cache notices a change in the file of a compiled function, but not in the files of the functions
+it calls. Here the cache folder is named after the content of every source file of the package, so any edit
+anywhere starts a new cache. It lives in the user's cache folder, so a read-only installation works.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+from numba.core import config as numba_config
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile `function` to machine code at its first call; with NUMBA_DISABLE_JIT=1 return it as it is."""
+    before = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(cache_folder())
+    try:
+        # error_model="numpy": a division by zero gives inf as in numpy, and the check costs nothing.
+        return cast(Function, numba.njit(cache=True, error_model="numpy")(function))
+    finally:
+        numba_config.CACHE_DIR = before
+
+
+@cache
+def cache_folder() -> Path:
+    """The folder of machine code that belongs to exactly this version of the sources."""
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(source.read_bytes())
+    name = digest.hexdigest()[:16]
+    for parent in _candidate_parents():
+        folder = parent / "cad-env" / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="cad-env-"))
+
+
+def _candidate_parents() -> list[Path]:
+    chosen = [os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")]
+    return [Path(p) for p in chosen if p] + [Path(os.path.expanduser("~")) / ".cache"]

@@ -1,0 +1,16 @@
+"""One occlusion story a file. A scenario is a map, its routes, and a draw of traffic from a seed."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from cad_env.scenarios.left_turn import LEFT_TURN
+from cad_env.scenarios.scene import Scenario
+
+SCENARIOS: Mapping[str, Scenario] = MappingProxyType({scenario.name: scenario for scenario in (LEFT_TURN,)})
+
+
+def scenario_named(name: str) -> Scenario:
+    """The scenario called `name`; ValueError that lists the choices otherwise."""
+    if name not in SCENARIOS:
+        raise ValueError(f"unknown scenario {name!r}: choose among {', '.join(SCENARIOS)}")
+    return SCENARIOS[name]

@@ -1,0 +1,287 @@
+"""A graph as bytes: what one vehicle puts on the air, and the only bytes that another accepts.
+
+A message stands alone; no receiver needs an earlier one. It holds the newest `depth` frames in whole centimetres:
+
+    "CG"  version  depth  resolution (cm)  number of tracks     six bytes
+    sender                                                      two bytes, the lowest first (as in all that follows)
+    time of the newest frame (ms)                               four bytes
+    for each track:
+        id and kind                                             varint of 2 id + kind
+        frames and height                                       two bytes: bit a is set if the track was seen `a`
+                                                                frames before the newest, bit 15 if its height varies
+        x, then y, then z                                       each walks from the newest node to the oldest
+    CRC-32 of all before                                        four bytes
+
+The first node of a walk is the difference to the first track's newest position, which itself is coded in full: the
+first track of a vehicle's graph is its own body, and what it sees is close. Each older node is the difference to the
+position that the newer ones predict at constant velocity. Differences are zigzag varints: one byte up to 63 cm. A
+height that stays the same is written once.
+
+The prediction follows half of each surprise, which divides the variance that noisy positions cause by 1.8 against
+the line through two nodes, and is only shifts and sums of integers: every machine reads the same bytes alike.
+A graph has one spelling and `decode` accepts no other, so what was accepted would be written alike again.
+The CRC finds corruption. It is no authentication: anyone can write a message that is accepted.
+"""
+
+import numpy as np
+
+from cad_env.compiled import compiled
+from cad_env.pipeline.codec_bits import (
+    REACH,
+    TRUNCATED,
+    VARINT_BYTES,
+    crc32,
+    frames_seen,
+    newest_column,
+    put_fixed,
+    put_varint,
+    put_walk,
+    take_fixed,
+    take_varint,
+    take_walk,
+    to_units,
+    varies_along,
+)
+from cad_env.types import CAR, FRAMES, ROWS, TRUCK, Bools, Bytes, Floats, Graph, Ints, Rows
+
+VERSION = 1
+MAX_TRACKS = 255
+MAX_SENDER = 2**16 - 1
+MAX_TIME = 2**32 - 1  # ms
+MAX_ID = 2**31 - 1
+
+_MAGIC = 0x4743  # "CG"
+_RESOLUTION = 1  # cm
+_HEADER = 12  # bytes
+_CRC = 4  # bytes
+_VARIES = 15  # the bit of the frames that says that the height is not one
+
+
+def max_bytes(tracks: int) -> int:
+    """No message of so many tracks is longer.
+
+    >>> max_bytes(0)
+    16
+    """
+    return _HEADER + tracks * (VARINT_BYTES + 2 + 3 * FRAMES * VARINT_BYTES) + _CRC
+
+
+MAX_BYTES = max_bytes(ROWS)
+
+# What `read` answers, and why it refuses. 1 to 3 are the reasons of `codec_bits`.
+ACCEPTED, FORMAT, CORRUPT, CAPACITY, NO_NODE, IDENTITY, SPELLING, TRAILING = 0, 4, 5, 6, 7, 8, 9, 10
+REASONS = (
+    "accepted",
+    "it ends too early",
+    "a varint longer than its value needs",
+    "a position too far out",
+    "unknown magic, version, resolution or depth",
+    "its CRC-32 does not match",
+    "more tracks than there is room for",
+    "a track without a node in the frames sent, or with one outside them",
+    "a track id that is too large or there twice",
+    "a constant height that is spelt out",
+    "bytes after the last track",
+)
+
+
+class DecodeError(ValueError):
+    """These bytes are not a message that `encode` writes."""
+
+
+@compiled
+def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: Rows) -> int:
+    """Write the newest `depth` frames of `rows` and answer the length; -1 if a node is not within REACH.
+
+    `buffer` must hold MAX_BYTES, or `max_bytes(count)`. Sender, time and ids are the caller's to keep in range
+    and unique. A track without a node in those frames is left out.
+    """
+    at, tracks = _HEADER, 0
+    origin = np.zeros(3, np.int64)
+    for row in range(rows.count[0]):
+        frames = frames_seen(rows.mask, row, depth)
+        if frames != 0:
+            at = _put_track(buffer, at, rows, row, frames, origin, tracks == 0)
+            if at < 0:
+                return -1
+            tracks += 1
+    start = put_fixed(buffer, 0, _MAGIC, 2)
+    start = put_fixed(buffer, start, VERSION | depth << 8 | _RESOLUTION << 16 | tracks << 24, 4)
+    start = put_fixed(buffer, start, sender, 2)
+    put_fixed(buffer, start, time_ms, 4)
+    return put_fixed(buffer, at, crc32(buffer, at), _CRC)
+
+
+@compiled
+def read(buffer: Bytes, length: int, header: Ints, rows: Rows) -> int:
+    """Read buffer[:length] into `header`, (3,) int64 sender, time in ms and depth, and `rows`; answers ACCEPTED.
+
+    Any other answer is an index of REASONS and leaves no row in use. Absent nodes get position 0.
+    """
+    rows.count[0] = 0
+    status = _check_envelope(buffer, length)
+    if status != ACCEPTED:
+        return status
+    tracks = int(buffer[5])
+    if tracks > rows.track.shape[0]:
+        return CAPACITY
+    header[0], header[1], header[2] = take_fixed(buffer, 6, 2), take_fixed(buffer, 8, 4), int(buffer[3])
+    at, end = _HEADER, length - _CRC
+    origin = np.zeros(3, np.int64)
+    for row in range(tracks):
+        at = _take_track(buffer, at, end, rows, row, header[2], origin)
+        if at < 0:
+            return -at
+    if at != end:
+        return TRAILING
+    rows.count[0] = tracks
+    return ACCEPTED
+
+
+@compiled
+def _check_envelope(buffer: Bytes, length: int) -> int:
+    if length < _HEADER + _CRC or length > buffer.shape[0]:
+        return TRUNCATED
+    known = take_fixed(buffer, 0, 2) == _MAGIC and buffer[2] == VERSION and buffer[4] == _RESOLUTION
+    if not known or not 1 <= buffer[3] <= FRAMES:
+        return FORMAT
+    if crc32(buffer, length - _CRC) != take_fixed(buffer, length - _CRC, _CRC):
+        return CORRUPT
+    return ACCEPTED
+
+
+@compiled
+def _put_track(buffer: Bytes, at: int, rows: Rows, row: int, frames: int, origin: Ints, is_first: bool) -> int:
+    varies = varies_along(rows.position, row, 2, frames)
+    at = put_varint(buffer, at, rows.track[row] << 1 | rows.kind[row])
+    at = put_fixed(buffer, at, frames | varies << _VARIES, 2)
+    newest = newest_column(frames)
+    for axis in range(3):
+        walked = frames if axis < 2 or varies else 1 << FRAMES - 1 - newest
+        at = put_walk(buffer, at, rows.position, row, axis, walked, origin[axis])
+        if at < 0:
+            return -1
+        if is_first:
+            origin[axis] = to_units(rows.position[row, newest, axis])
+    return at
+
+
+@compiled
+def _take_track(buffer: Bytes, at: int, end: int, rows: Rows, row: int, depth: int, origin: Ints) -> int:
+    name, at = take_varint(buffer, at, end)
+    if at < 0:
+        return at
+    if at + 2 > end:
+        return -TRUNCATED
+    frames = take_fixed(buffer, at, 2)
+    varies, frames = frames >> _VARIES, frames & (1 << _VARIES) - 1
+    if frames == 0 or frames >> depth:
+        return -NO_NODE
+    rows.track[row], rows.kind[row] = name >> 1, name & 1
+    if rows.track[row] > MAX_ID or _is_known(rows.track, row):
+        return -IDENTITY
+    newest = newest_column(frames)
+    at += 2
+    for axis in range(3):
+        walked = frames if axis < 2 or varies else 1 << FRAMES - 1 - newest
+        at = take_walk(buffer, at, end, rows.position, row, axis, walked, origin[axis])
+        if at < 0:
+            return at
+        if row == 0:
+            origin[axis] = to_units(rows.position[row, newest, axis])
+    if varies and not varies_along(rows.position, row, 2, frames):
+        return -SPELLING
+    _set_nodes(rows, row, frames, varies)
+    return at
+
+
+@compiled
+def _is_known(track: Ints, row: int) -> bool:
+    for other in range(row):
+        if track[other] == track[row]:
+            return True
+    return False
+
+
+@compiled
+def _set_nodes(rows: Rows, row: int, frames: int, varies: int) -> None:
+    """Set the mask, give every node its height where it is one, and clear what is absent."""
+    height = rows.position[row, newest_column(frames), 2]
+    for column in range(FRAMES):
+        present = frames >> FRAMES - 1 - column & 1 == 1
+        rows.mask[row, column] = present
+        if not present:
+            rows.position[row, column, :] = 0.0
+        elif not varies:
+            rows.position[row, column, 2] = height
+
+
+def encode(graph: Graph, depth: int = FRAMES) -> bytes:
+    """The newest `depth` frames of a graph as a message; ValueError where the graph is not one that can be sent.
+
+    >>> still = np.zeros((1, FRAMES, 3))
+    >>> graph = Graph(7, 1.5, np.array([0]), still, np.ones((1, FRAMES), bool), np.array([CAR], np.int8))
+    >>> len(encode(graph)), len(encode(graph, depth=1)), decode(encode(graph)).time
+    (50, 22, 1.5)
+    """
+    _check_graph(graph, depth)
+    buffer = np.empty(max_bytes(len(graph.track)), np.uint8)
+    rows = _rows(len(graph.track), graph.track, graph.position, graph.mask, graph.kind)
+    length = write(buffer, graph.sender, round(graph.time * 1000.0), depth, rows)
+    return buffer[:length].tobytes()
+
+
+def decode(payload: bytes) -> Graph:
+    """The graph of a message; DecodeError for any bytes that `encode` does not write."""
+    if len(payload) > max_bytes(MAX_TRACKS):
+        raise DecodeError(f"message of {len(payload)} bytes refused: no graph takes more than {max_bytes(MAX_TRACKS)}")
+    header, one = np.zeros(3, np.int64), np.zeros(MAX_TRACKS)
+    nodes = np.zeros((MAX_TRACKS, FRAMES, 3))
+    rows = _rows(0, one, nodes, nodes[:, :, 0], one)
+    buffer = np.array(bytearray(payload), np.uint8)
+    status = read(buffer, len(payload), header, rows)
+    if status != ACCEPTED:
+        raise DecodeError(f"message of {len(payload)} bytes refused: {REASONS[status]}")
+    count = int(rows.count[0])
+    return Graph(
+        sender=int(header[0]),
+        time=int(header[1]) / 1000.0,
+        track=rows.track[:count].copy(),
+        position=rows.position[:count].copy(),
+        mask=rows.mask[:count].copy(),
+        kind=rows.kind[:count].copy(),
+    )
+
+
+def _rows(count: int, track: Ints, position: Floats, mask: Bools, kind: Ints) -> Rows:
+    return Rows(
+        count=np.array([count], np.int64),
+        track=np.ascontiguousarray(track, np.int64),
+        position=np.ascontiguousarray(position, np.float64),
+        mask=np.ascontiguousarray(mask, np.bool_),
+        kind=np.ascontiguousarray(kind, np.int8),
+    )
+
+
+def _check_graph(graph: Graph, depth: int) -> None:
+    tracks = len(graph.track)
+    _check("depth", depth, 1, FRAMES)
+    _check("sender", graph.sender, 0, MAX_SENDER)
+    _check("time in ms", graph.time * 1000.0, 0, MAX_TIME)
+    _check("number of tracks", tracks, 0, MAX_TRACKS)
+    shapes = (graph.position.shape, graph.mask.shape, graph.kind.shape)
+    if shapes != ((tracks, FRAMES, 3), (tracks, FRAMES), (tracks,)):
+        raise ValueError(f"position, mask and kind of {tracks} tracks x {FRAMES} frames have the shapes {shapes}")
+    for track, kind in zip(graph.track, graph.kind, strict=True):
+        _check("track id", track, 0, MAX_ID)
+        _check("kind", kind, CAR, TRUCK)
+    if len(np.unique(graph.track)) < tracks:
+        raise ValueError(f"track ids must be unique, got {graph.track.tolist()}")
+    for coordinate in graph.position[np.asarray(graph.mask, np.bool_)].flat:
+        _check("coordinate in m", coordinate, -REACH, REACH)
+
+
+def _check(name: str, value: float, low: float, high: float) -> None:
+    # Written as a negation, this refuses NaN too.
+    if not low <= value <= high:
+        raise ValueError(f"{name} must be from {low:g} to {high:g}, got {value!r}")

@@ -1,0 +1,101 @@
+"""Tracks -> a window of the last 15 frames: the nodes of one vehicle's spatiotemporal graph.
+
+Row 0 is the vehicle's own body as its GNSS places it; the other rows are its confirmed tracks, kept until their
+last node has left the window.
+"""
+
+import numpy as np
+
+from cad_env.compiled import compiled
+from cad_env.types import FRAMES, ROWS, Bools, Floats, Graph, Ints, Rows
+
+
+def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
+    """A graph without nodes; leading dimensions stack graphs."""
+    return Rows(
+        np.zeros((*lead, 1), np.int64), np.zeros((*lead, rows), np.int64), np.zeros((*lead, rows, FRAMES, 3)),
+        np.zeros((*lead, rows, FRAMES), np.bool_), np.zeros((*lead, rows), np.int8),
+    )  # fmt: skip
+
+
+@compiled
+def slide(rows: Rows) -> None:
+    """One frame later: every node moves one column towards the past, and rows without nodes go."""
+    kept = 0
+    for i in range(rows.count[0]):
+        alive = False
+        for t in range(FRAMES - 1):
+            rows.mask[kept, t] = rows.mask[i, t + 1]
+            alive = alive or rows.mask[i, t + 1]
+            for axis in range(3):
+                rows.position[kept, t, axis] = rows.position[i, t + 1, axis]
+        rows.mask[kept, FRAMES - 1] = False
+        rows.track[kept], rows.kind[kept] = rows.track[i], rows.kind[i]
+        if alive:
+            kept += 1
+    rows.count[0] = kept
+
+
+@compiled
+def row_of(rows: Rows, track: int) -> int:
+    """The row of a track id; a new empty row if it is unknown; -1 if the graph is full."""
+    for i in range(rows.count[0]):
+        if rows.track[i] == track:
+            return i
+    i = rows.count[0]
+    if i == rows.track.shape[0]:
+        return -1
+    rows.count[0] += 1
+    rows.track[i] = track
+    rows.mask[i] = False
+    return i
+
+
+@compiled
+def add_body(rows: Rows, pose: Floats, height: float, kind: int) -> None:
+    """Note where the vehicle itself is in the newest frame. Call it first, so that the body is row 0."""
+    i = row_of(rows, 0)
+    rows.kind[i] = kind
+    rows.mask[i, FRAMES - 1] = True
+    rows.position[i, FRAMES - 1, 0] = pose[0]
+    rows.position[i, FRAMES - 1, 1] = pose[1]
+    rows.position[i, FRAMES - 1, 2] = height
+
+
+@compiled
+def add_track(rows: Rows, track: int, kind: int, recent: Floats, recent_mask: Bools) -> None:
+    """Note a track's newest frames, (H, 3) and (H,): on its first entry all of them, later the newest alone."""
+    known = rows.count[0]
+    i = row_of(rows, track)
+    if i < 0:
+        return
+    rows.kind[i] = kind
+    depth = recent.shape[0]
+    for back in range(depth if i == known else 1):
+        column, k = FRAMES - 1 - back, depth - 1 - back
+        rows.mask[i, column] = recent_mask[k]
+        for axis in range(3):
+            rows.position[i, column, axis] = recent[k, axis]
+
+
+def as_graph(rows: Rows, sender: int, time: float) -> Graph:
+    """The rows in use as the noun that leaves this package."""
+    n = int(rows.count[0])
+    mask = rows.mask[:n].copy()
+    position = np.where(mask[..., None], rows.position[:n], 0.0)
+    return Graph(sender, time, rows.track[:n].copy(), position, mask, rows.kind[:n].copy())
+
+
+def nodes_and_edges(graph: Graph) -> tuple[Ints, Floats, Ints, Floats]:
+    """The edges that the nodes imply: (E, 2) spatial pairs and (E,) distances m, (F, 2) temporal pairs and (F,) gaps s.
+
+    Pairs index the nodes in the order of np.argwhere(graph.mask), source first; a gap is source minus target time.
+    """
+    node = np.argwhere(graph.mask)
+    place = graph.position[graph.mask]
+    different = ~np.eye(len(node), dtype=bool)
+    spatial = np.argwhere((node[:, None, 1] == node[None, :, 1]) & different)
+    temporal = np.argwhere((node[:, None, 0] == node[None, :, 0]) & different)
+    distance = np.linalg.norm(place[spatial[:, 0]] - place[spatial[:, 1]], axis=-1)
+    gap = 0.1 * (node[temporal[:, 0], 1] - node[temporal[:, 1], 1])
+    return spatial, distance, temporal, gap

@@ -1,0 +1,141 @@
+"""Own graph + what other vehicles sent -> one graph: associate tracks across vehicles, fuse, forget oneself.
+
+Tracks, not detections, are associated: the cost of a pair is the root mean square distance over the frames that
+both were seen in. The receiver's tracks come first, then each sender's in the order of sender numbers, one to one,
+so two tracks of one vehicle never merge and the order of arrival does not matter.
+"""
+
+import math
+
+import numpy as np
+
+from cad_env.assignment import assign
+from cad_env.compiled import compiled
+from cad_env.types import FRAMES, Floats, Rows
+
+GATE = 2.5  # m; closer than two vehicles can be, wider than two trackers disagree
+EGO_RADIUS = 2.0  # m around itself in which the ego takes no node for another vehicle (the paper's rule)
+
+
+@compiled
+def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
+    """Take the newest `depth` frames of a message, `age` frames old, into the window kept of its sender."""
+    newest = FRAMES - 1 - age
+    oldest = max(newest - depth + 1, 0)
+    for i in range(kept.count[0]):  # the message is the sender's whole word on the frames it covers
+        for t in range(oldest, newest + 1):
+            kept.mask[i, t] = False
+    for m in range(message.count[0]):
+        i = _row_of(kept, message.track[m])
+        if i < 0:
+            continue
+        kept.kind[i] = message.kind[m]
+        for t in range(oldest, newest + 1):
+            kept.mask[i, t] = message.mask[m, t + age]
+            for axis in range(3):
+                kept.position[i, t, axis] = message.position[m, t + age, axis]
+
+
+@compiled
+def _row_of(rows: Rows, track: int) -> int:
+    for i in range(rows.count[0]):
+        if rows.track[i] == track:
+            return i
+    i = rows.count[0]
+    if i == rows.track.shape[0]:
+        return -1
+    rows.count[0] += 1
+    rows.track[i] = track
+    rows.mask[i] = False
+    return i
+
+
+@compiled
+def start_merge(merged: Rows, weight: Floats) -> None:
+    """Empty the merged graph. weight (M, T): how many vehicles saw a node."""
+    merged.count[0] = 0
+    weight[:] = 0.0
+
+
+@compiled
+def take_in(merged: Rows, weight: Floats, rows: Rows, first: int, trail: Floats) -> None:
+    """Associate one vehicle's rows from `first` on with the merged graph, and fuse them by their mean.
+
+    trail (T, 3): the ego's own pose in each frame; nodes within EGO_RADIUS of it are the ego, and are left out.
+    """
+    known, count = merged.count[0], rows.count[0]
+    cost = np.empty((known, count))
+    match = np.full(count, -1, np.int64)
+    found = np.empty(known, np.int64)
+    for g in range(known):
+        for i in range(first, count):
+            cost[g, i - first] = _disagreement(merged, weight, g, rows, i)
+    assign(cost, known, max(count - first, 0), GATE, found)
+    for g in range(known):
+        if found[g] >= 0:
+            match[first + found[g]] = g
+    for i in range(first, count):
+        g = match[i]
+        if g < 0:
+            if merged.count[0] == merged.track.shape[0]:
+                continue
+            g = merged.count[0]
+            merged.count[0] += 1
+            merged.track[g], merged.kind[g] = g, rows.kind[i]
+            merged.mask[g] = False
+        _fuse(merged, weight, g, rows, i, trail)
+
+
+@compiled
+def _disagreement(merged: Rows, weight: Floats, g: int, rows: Rows, i: int) -> float:
+    """Root mean square distance in the plane over the frames both hold, m; inf if there is none."""
+    total, common = 0.0, 0
+    for back in range(FRAMES):
+        t = FRAMES - 1 - back
+        if weight[g, t] > 0.0 and rows.mask[i, t]:
+            dx = merged.position[g, t, 0] - rows.position[i, t, 0]
+            dy = merged.position[g, t, 1] - rows.position[i, t, 1]
+            total += dx * dx + dy * dy
+            if total > GATE * GATE * FRAMES:  # no number of further frames brings the mean below the gate
+                return math.inf
+            common += 1
+    return math.sqrt(total / common) if common > 0 else math.inf
+
+
+@compiled
+def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Floats) -> None:
+    for t in range(FRAMES):
+        if not rows.mask[i, t] or _is_ego(rows.position[i, t], trail[t]):
+            continue
+        share = 1.0 / (weight[g, t] + 1.0)
+        for axis in range(3):
+            before = merged.position[g, t, axis] if weight[g, t] > 0.0 else 0.0
+            merged.position[g, t, axis] = before + share * (rows.position[i, t, axis] - before)
+        weight[g, t] += 1.0
+        merged.mask[g, t] = True
+
+
+@compiled
+def _is_ego(position: Floats, pose: Floats) -> bool:
+    return math.hypot(position[0] - pose[0], position[1] - pose[1]) <= EGO_RADIUS
+
+
+@compiled
+def finish_merge(merged: Rows, trail: Floats) -> None:
+    """Apply the ego rule to the fused positions too, and drop rows that hold no node."""
+    kept = 0
+    for g in range(merged.count[0]):
+        alive = False
+        for t in range(FRAMES):
+            if merged.mask[g, t] and _is_ego(merged.position[g, t], trail[t]):
+                merged.mask[g, t] = False
+            alive = alive or merged.mask[g, t]
+        if not alive:
+            continue
+        if kept != g:
+            merged.position[kept] = merged.position[g]
+            merged.mask[kept] = merged.mask[g]
+            merged.kind[kept] = merged.kind[g]
+        merged.track[kept] = kept
+        kept += 1
+    merged.count[0] = kept

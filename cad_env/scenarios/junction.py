@@ -1,0 +1,75 @@
+"""A signalised four-way junction with a left-turn and a through lane on every approach (highway-env lanes)."""
+
+import numpy as np
+from highway_env.road.lane import CircularLane, LineType, StraightLane
+from highway_env.road.road import RoadNetwork
+
+from cad_env.roads import RoutePlan
+from cad_env.types import Command, Floats
+
+LANE = 3.5  # m wide
+STOP_LINE = 12.0  # m from the centre: two lanes, a kerb and a crosswalk
+ARM = 250.0  # m from the centre to the end of an arm
+LEFT, THROUGH = 0, 1  # lanes of an approach, from the middle of the road outwards
+TURN_RADIUS = STOP_LINE + LANE / 2
+
+ARMS = ("south", "east", "north", "west")  # where a vehicle comes from, counter-clockwise
+
+
+def junction_network() -> RoadNetwork:
+    """Nodes `<arm>_far`, `<arm>_line`, `<arm>_out` and `<arm>_end` for each arm; the centre is the origin."""
+    network = RoadNetwork()
+    none, solid, dashed = LineType.NONE, LineType.CONTINUOUS_LINE, LineType.STRIPED
+    for quarter, arm in enumerate(ARMS):
+        turn = _quarter_turn(quarter)
+        across, leftward = ARMS[(quarter + 2) % 4], ARMS[(quarter - 1) % 4]
+        for lane in (LEFT, THROUGH):
+            x = LANE * (lane + 0.5)
+            lines = [solid, dashed] if lane == LEFT else [none, solid]
+            network.add_lane(
+                f"{arm}_far", f"{arm}_line", StraightLane(turn @ [x, -ARM], turn @ [x, -STOP_LINE], LANE, lines)
+            )
+            network.add_lane(
+                f"{across}_out", f"{across}_end", StraightLane(turn @ [x, STOP_LINE], turn @ [x, ARM], LANE, lines)
+            )
+            network.add_lane(
+                f"{arm}_line",
+                f"{across}_out",
+                StraightLane(turn @ [x, -STOP_LINE], turn @ [x, STOP_LINE], LANE, [none, none]),
+            )
+        angle = quarter * np.pi / 2
+        network.add_lane(
+            f"{arm}_line",
+            f"{leftward}_out",
+            # highway-env's "clockwise" is on its screen, whose y axis points down; in our axes the arc turns left.
+            CircularLane(
+                turn @ [-STOP_LINE, -STOP_LINE], TURN_RADIUS, angle, angle + np.pi / 2,
+                clockwise=True, width=LANE, line_types=[none, none],
+            ),
+        )  # fmt: skip
+    return network
+
+
+def _quarter_turn(quarter: int) -> Floats:
+    cos, sin = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def left_plan(arm: str) -> RoutePlan:
+    """From the left-turn lane of an arm into the inner lane of the road to its left."""
+    leftward = ARMS[(ARMS.index(arm) - 1) % 4]
+    return RoutePlan(
+        f"{arm}_left",
+        ((f"{arm}_far", f"{arm}_line", LEFT), (f"{arm}_line", f"{leftward}_out", 0), (f"{leftward}_out", f"{leftward}_end", LEFT)),
+        (Command.FOLLOW_LANE, Command.TURN_LEFT, Command.FOLLOW_LANE),
+    )  # fmt: skip
+
+
+def through_plan(arm: str) -> RoutePlan:
+    """From the through lane of an arm straight across."""
+    across = ARMS[(ARMS.index(arm) + 2) % 4]
+    return RoutePlan(
+        f"{arm}_through",
+        ((f"{arm}_far", f"{arm}_line", THROUGH), (f"{arm}_line", f"{across}_out", THROUGH), (f"{across}_out", f"{across}_end", THROUGH)),
+        (Command.FOLLOW_LANE, Command.GO_STRAIGHT, Command.FOLLOW_LANE),
+    )  # fmt: skip

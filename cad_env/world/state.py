@@ -1,0 +1,70 @@
+"""The state of the world as arrays, one row a vehicle, and the map as sampled routes."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cad_env.types import Bools, Floats, Ints
+
+# Who drives a row. A connected vehicle is an IDM driver whose GO/BRAKE command comes from outside (`command`).
+OFF, STANDING, SCRIPTED, IDM = 0, 1, 2, 3
+
+# An actuation delay of two decisions (0.2 s): a brake does not bite in the frame that asks for it.
+COMMAND_DELAY = 2
+
+
+class Routes(NamedTuple):
+    """Every route of a map, sampled at one spacing so that an arc length is an index.
+
+    `projection[a, b, p]` places sample p of route b on route a as (arc length, lateral offset to the left);
+    NaN where b does not run along a there (farther than a vehicle's width, or headed elsewhere).
+    """
+
+    spacing: float  # m
+    length: Floats  # (R,) m
+    point: Floats  # (R, P, 2) m; samples beyond the length repeat the end, straight on
+    heading: Floats  # (R, P) rad, unwrapped along the route
+    command: Ints  # (R, P) int8 Command
+    projection: Floats  # (R, R, P, 2) m
+
+
+class World(NamedTuple):
+    """N vehicles. Rows stay put for a whole episode; a vehicle that leaves the map turns OFF."""
+
+    position: Floats  # (N, 2) m
+    heading: Floats  # (N,) rad
+    speed: Floats  # (N,) m/s, never negative
+    acceleration: Floats  # (N,) m/s2, what was applied last
+    size: Floats  # (N, 2) m length, width
+    kind: Ints  # (N,) int8 CAR or TRUCK
+    driver: Ints  # (N,) int8 OFF, STANDING, SCRIPTED or IDM
+    route: Ints  # (N,) int64
+    progress: Floats  # (N,) m along the route
+    target_speed: Floats  # (N,) m/s
+    stop_at: Floats  # (N,) m along the route, the line where a red light stops the vehicle; inf for none
+    command: Ints  # (N, COMMAND_DELAY + 1) int8 GO or BRAKE; column 0 is in force, the last is the newest
+    struck: Ints  # (N,) int64 row of the first vehicle it touched, -1 for none
+
+
+def empty_world(count: int) -> World:
+    """`count` vehicles, all OFF."""
+    return World(
+        position=np.zeros((count, 2)),
+        heading=np.zeros(count),
+        speed=np.zeros(count),
+        acceleration=np.zeros(count),
+        size=np.zeros((count, 2)),
+        kind=np.zeros(count, np.int8),
+        driver=np.zeros(count, np.int8),
+        route=np.zeros(count, np.int64),
+        progress=np.zeros(count),
+        target_speed=np.zeros(count),
+        stop_at=np.full(count, np.inf),
+        command=np.zeros((count, COMMAND_DELAY + 1), np.int8),
+        struck=np.full(count, -1, np.int64),
+    )
+
+
+def crashed(world: World) -> Bools:
+    """(N,) True for every vehicle that has touched another."""
+    return world.struck >= 0

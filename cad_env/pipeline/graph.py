@@ -7,48 +7,8 @@ last node has left the window.
 import numpy as np
 
 from cad_env.compiled import compiled
-from cad_env.types import FRAMES, ROWS, Bools, Floats, Graph, Ints, Rows
-
-
-def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
-    """A graph without nodes; leading dimensions stack graphs."""
-    return Rows(
-        np.zeros((*lead, 1), np.int64), np.zeros((*lead, rows), np.int64), np.zeros((*lead, rows, FRAMES, 3)),
-        np.zeros((*lead, rows, FRAMES), np.bool_), np.zeros((*lead, rows), np.int8),
-    )  # fmt: skip
-
-
-@compiled
-def slide(rows: Rows) -> None:
-    """One frame later: every node moves one column towards the past, and rows without nodes go."""
-    kept = 0
-    for i in range(rows.count[0]):
-        alive = False
-        for t in range(FRAMES - 1):
-            rows.mask[kept, t] = rows.mask[i, t + 1]
-            alive = alive or rows.mask[i, t + 1]
-            for axis in range(3):
-                rows.position[kept, t, axis] = rows.position[i, t + 1, axis]
-        rows.mask[kept, FRAMES - 1] = False
-        rows.track[kept], rows.kind[kept] = rows.track[i], rows.kind[i]
-        if alive:
-            kept += 1
-    rows.count[0] = kept
-
-
-@compiled
-def row_of(rows: Rows, track: int) -> int:
-    """The row of a track id; a new empty row if it is unknown; -1 if the graph is full."""
-    for i in range(rows.count[0]):
-        if rows.track[i] == track:
-            return i
-    i = rows.count[0]
-    if i == rows.track.shape[0]:
-        return -1
-    rows.count[0] += 1
-    rows.track[i] = track
-    rows.mask[i] = False
-    return i
+from cad_env.rows import row_of
+from cad_env.types import FRAMES, STEP, Bools, Floats, Graph, Ints, Rows
 
 
 @compiled
@@ -78,14 +38,6 @@ def add_track(rows: Rows, track: int, kind: int, recent: Floats, recent_mask: Bo
             rows.position[i, column, axis] = recent[k, axis]
 
 
-def as_graph(rows: Rows, sender: int, time: float) -> Graph:
-    """The rows in use as the noun that leaves this package."""
-    n = int(rows.count[0])
-    mask = rows.mask[:n].copy()
-    position = np.where(mask[..., None], rows.position[:n], 0.0)
-    return Graph(sender, time, rows.track[:n].copy(), position, mask, rows.kind[:n].copy())
-
-
 def nodes_and_edges(graph: Graph) -> tuple[Ints, Floats, Ints, Floats]:
     """The edges that the nodes imply: (E, 2) spatial pairs and (E,) distances m, (F, 2) temporal pairs and (F,) gaps s.
 
@@ -97,5 +49,5 @@ def nodes_and_edges(graph: Graph) -> tuple[Ints, Floats, Ints, Floats]:
     spatial = np.argwhere((node[:, None, 1] == node[None, :, 1]) & different)
     temporal = np.argwhere((node[:, None, 0] == node[None, :, 0]) & different)
     distance = np.linalg.norm(place[spatial[:, 0]] - place[spatial[:, 1]], axis=-1)
-    gap = 0.1 * (node[temporal[:, 0], 1] - node[temporal[:, 1], 1])
+    gap = STEP * (node[temporal[:, 0], 1] - node[temporal[:, 1], 1])
     return spatial, distance, temporal, gap

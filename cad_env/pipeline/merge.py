@@ -11,6 +11,7 @@ import numpy as np
 
 from cad_env.assignment import assign
 from cad_env.compiled import compiled
+from cad_env.rows import row_of
 from cad_env.types import FRAMES, Floats, Rows
 
 GATE = 2.5  # m; closer than two vehicles can be, wider than two trackers disagree
@@ -26,7 +27,7 @@ def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
         for t in range(oldest, newest + 1):
             kept.mask[i, t] = False
     for m in range(message.count[0]):
-        i = _row_of(kept, message.track[m])
+        i = row_of(kept, message.track[m])
         if i < 0:
             continue
         kept.kind[i] = message.kind[m]
@@ -34,20 +35,6 @@ def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
             kept.mask[i, t] = message.mask[m, t + age]
             for axis in range(3):
                 kept.position[i, t, axis] = message.position[m, t + age, axis]
-
-
-@compiled
-def _row_of(rows: Rows, track: int) -> int:
-    for i in range(rows.count[0]):
-        if rows.track[i] == track:
-            return i
-    i = rows.count[0]
-    if i == rows.track.shape[0]:
-        return -1
-    rows.count[0] += 1
-    rows.track[i] = track
-    rows.mask[i] = False
-    return i
 
 
 @compiled

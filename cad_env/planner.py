@@ -1,0 +1,223 @@
+"""The rules: brake if going now would end in a contact. On any knowledge: own, shared or true.
+
+The ego runs along its way as its driver would; every other vehicle keeps its velocity. Only crossing and oncoming
+vehicles count: following the stream is the driver model's work. A vehicle's body is lengthened by what it travels
+in `ahead` and `behind` seconds, so that the ego neither cuts in before it nor slips in just behind it: this
+*waiting* rule is what a clone can learn from what it sees (a clone that copies a close shave misses it).
+Once waiting would leave the ego in the way, only true contacts count: it goes if that is free and braking is not.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from cad_env.compiled import compiled
+from cad_env.config import check_range
+from cad_env.types import BRAKE, FRAMES, GO, ROUTE_SPACING, STEP, TRUCK, Floats, Ints, Observation
+from cad_env.world.drivers import COMMANDED_BRAKING, idm_acceleration
+from cad_env.world.geometry import boxes_touch
+from cad_env.world.state import COMMAND_DELAY, OFF, Routes, World
+
+FIT_FRAMES = 6  # newest nodes of a track that its velocity is fitted to
+SLOWEST = 1.5  # m/s, below which a fitted velocity is noise and the vehicle stands
+CROSSING = math.radians(40)  # rad between the ego's heading and another's, above which it is not the same stream
+CAR_SIZE, TRUCK_SIZE = (4.8, 2.0), (12.0, 2.6)  # m, what a track of each class is taken to be
+
+
+class Rule(NamedTuple):
+    """A PlannerConfig as compiled code sees it."""
+
+    look_ahead: float
+    ahead: float
+    behind: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """How careful the rules are."""
+
+    look_ahead: float = 4.0  # s
+    ahead: float = 0.7  # s of its travel by which a vehicle is lengthened in front ...
+    behind: float = 2.0  # s ... and behind
+    margin: float = 0.5  # m around every vehicle
+
+    def __post_init__(self) -> None:
+        check_range("look_ahead", self.look_ahead, STEP, 30.0)
+        check_range("ahead", self.ahead, 0.0, 10.0)
+        check_range("behind", self.behind, 0.0, 10.0)
+        check_range("margin", self.margin, 0.0, 5.0)
+
+    @property
+    def rule(self) -> Rule:
+        """The compiled code's view."""
+        return Rule(float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a privileged policy is given: the world itself, and which row it drives."""
+
+    world: World
+    routes: Routes
+    row: int
+
+
+@compiled
+def _box_on_way(way: Floats, arc: float) -> tuple[float, float, float]:
+    """(x, y, heading) at an arc length along a polyline whose points are ROUTE_SPACING apart."""
+    last = way.shape[0] - 2
+    index = min(max(int(arc / ROUTE_SPACING), 0), last)
+    share = arc / ROUTE_SPACING - index
+    dx, dy = way[index + 1, 0] - way[index, 0], way[index + 1, 1] - way[index, 1]
+    return way[index, 0] + share * dx, way[index, 1] + share * dy, math.atan2(dy, dx)
+
+
+@compiled
+def contact_ahead(way: Floats, ego: Floats, others: Floats, braking: bool, seconds: float, ahead: float,
+                  behind: float, margin: float) -> bool:  # fmt: skip
+    """True if the ego would touch a crossing vehicle within `seconds`.
+
+    way (P, 2) m, from the ego's position on; ego (4,) speed, wanted speed, length, width;
+    others (n, 6) x, y, heading, speed, length, width, in the frame of the way.
+    """
+    speed, arc, time = ego[0], 0.0, 0.0
+    for step in range(int(seconds / STEP) + 1):
+        x, y, heading = _box_on_way(way, arc)
+        for k in range(others.shape[0]):
+            pace = others[k, 3]
+            turn = others[k, 2] - heading
+            if pace < SLOWEST or math.cos(turn) > math.cos(CROSSING):
+                continue
+            shift = pace * (time + 0.5 * (ahead - behind))
+            if boxes_touch(
+                x, y, heading, ego[2] + 2.0 * margin, ego[3] + 2.0 * margin,
+                others[k, 0] + shift * math.cos(others[k, 2]), others[k, 1] + shift * math.sin(others[k, 2]),
+                others[k, 2], others[k, 4] + pace * (ahead + behind), others[k, 5],
+            ):  # fmt: skip
+                return True
+        acceleration = idm_acceleration(speed, ego[1], math.inf, 0.0)
+        if braking:  # until the brake bites the ego rolls on
+            acceleration = 0.0 if step < COMMAND_DELAY else -COMMANDED_BRAKING
+        arc += speed * STEP
+        speed = max(speed + acceleration * STEP, 0.0)
+        time += STEP
+    return False
+
+
+@compiled
+def decide(way: Floats, ego: Floats, others: Floats, rule: Rule) -> int:
+    """GO or BRAKE by the rules of this module; arguments as in `contact_ahead`."""
+    if not contact_ahead(way, ego, others, False, rule.look_ahead, rule.ahead, rule.behind, rule.margin):
+        return GO
+    going = contact_ahead(way, ego, others, False, rule.look_ahead, 0.0, 0.0, rule.margin)
+    stopping = contact_ahead(way, ego, others, True, rule.look_ahead, 0.0, 0.0, rule.margin)
+    return GO if stopping and not going else BRAKE
+
+
+@compiled
+def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
+    """The expert's decision for one vehicle of the world."""
+    count = world.speed.shape[0]
+    others = np.empty((count, 6))
+    n = 0
+    for k in range(count):
+        if k == row or world.driver[k] == OFF:
+            continue
+        others[n, 0], others[n, 1] = world.position[k, 0], world.position[k, 1]
+        others[n, 2], others[n, 3] = world.heading[k], world.speed[k]
+        others[n, 4], others[n, 5] = world.size[k, 0], world.size[k, 1]
+        n += 1
+    reach = int((rule.look_ahead * max(world.speed[row], world.target_speed[row])) / ROUTE_SPACING) + 3
+    way = np.empty((reach, 2))
+    last = routes.point.shape[1] - 1
+    route = world.route[row]
+    for p in range(reach):
+        index = min(int((world.progress[row] + p * ROUTE_SPACING) / routes.spacing + 0.5), last)
+        way[p] = routes.point[route, index]
+    way[0] = world.position[row]
+    ego = np.array([world.speed[row], world.target_speed[row], world.size[row, 0], world.size[row, 1]])
+    return decide(way, ego, others[:n], rule)
+
+
+@compiled
+def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
+                   rule: Rule) -> int:  # fmt: skip
+    """The planner's decision on the fields of an observation."""
+    others = np.empty((mask.shape[0], 6))
+    n = 0
+    for k in range(mask.shape[0]):
+        if fit_motion(tracks[k], mask[k], odometry, others[n]):
+            length, width = TRUCK_SIZE if kind[k] == TRUCK else CAR_SIZE
+            others[n, 4], others[n, 5] = length, width
+            n += 1
+    way = np.zeros((route.shape[0] + 1, 2))  # the ego is the origin
+    way[1:] = route
+    return decide(way, ego.astype(np.float64), others[:n], rule)
+
+
+@compiled
+def fit_motion(track: Floats, mask: Ints, odometry: Floats, motion: Floats) -> bool:
+    """Fit a straight motion to a track's newest nodes and write x, y (m, now), heading (rad), speed (m/s).
+
+    track (T, 3) in the ego frame of each frame, odometry (T, 3) those frames in the newest one. False if fewer than
+    two nodes are known.
+    """
+    weight = sum_t = sum_tt = sum_x = sum_y = sum_tx = sum_ty = 0.0
+    for back in range(FRAMES):
+        t = FRAMES - 1 - back
+        if mask[t] == 0 or weight >= FIT_FRAMES:
+            continue
+        cos, sin = math.cos(odometry[t, 2]), math.sin(odometry[t, 2])
+        x = odometry[t, 0] + track[t, 0] * cos - track[t, 1] * sin
+        y = odometry[t, 1] + track[t, 0] * sin + track[t, 1] * cos
+        time = -STEP * back
+        weight += 1.0
+        sum_t += time
+        sum_tt += time * time
+        sum_x += x
+        sum_y += y
+        sum_tx += time * x
+        sum_ty += time * y
+    if weight < 2.0:
+        return False
+    spread = weight * sum_tt - sum_t * sum_t
+    vx, vy = (weight * sum_tx - sum_t * sum_x) / spread, (weight * sum_ty - sum_t * sum_y) / spread
+    motion[0], motion[1] = (sum_x - vx * sum_t) / weight, (sum_y - vy * sum_t) / weight
+    motion[2], motion[3] = math.atan2(vy, vx), math.hypot(vx, vy)
+    return True
+
+
+@dataclass
+class Planner:
+    """The rules on what the ego knows: the planner-own and planner-shared contenders, by what is shared with it."""
+
+    config: PlannerConfig = field(default_factory=PlannerConfig)
+    privileged: bool = False
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget: the rules have no memory."""
+
+    def act(self, observation: Observation) -> int:
+        """GO or BRAKE on an observation."""
+        seen = observation
+        return decide_on_view(
+            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"], self.config.rule
+        )
+
+
+@dataclass
+class Expert:
+    """The same rules on the truth: whom the networks imitate."""
+
+    config: PlannerConfig = field(default_factory=PlannerConfig)
+    privileged: bool = True
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget: the rules have no memory."""
+
+    def act(self, observation: Truth) -> int:
+        """GO or BRAKE on the truth."""
+        return decide_on_truth(observation.world, observation.routes, observation.row, self.config.rule)

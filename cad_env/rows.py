@@ -1,0 +1,55 @@
+"""Rows of tracks by frames: the arrays behind a Graph, and the few things every holder of them does."""
+
+import numpy as np
+
+from cad_env.compiled import compiled
+from cad_env.types import FRAMES, ROWS, Graph, Rows
+
+
+def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
+    """A graph without nodes; leading dimensions stack graphs."""
+    return Rows(
+        np.zeros((*lead, 1), np.int64), np.zeros((*lead, rows), np.int64), np.zeros((*lead, rows, FRAMES, 3)),
+        np.zeros((*lead, rows, FRAMES), np.bool_), np.zeros((*lead, rows), np.int8),
+    )  # fmt: skip
+
+
+@compiled
+def slide(rows: Rows) -> None:
+    """One frame later: every node moves one column towards the past, and rows without nodes go."""
+    kept = 0
+    for i in range(rows.count[0]):
+        alive = False
+        for t in range(FRAMES - 1):
+            rows.mask[kept, t] = rows.mask[i, t + 1]
+            alive = alive or rows.mask[i, t + 1]
+            for axis in range(3):
+                rows.position[kept, t, axis] = rows.position[i, t + 1, axis]
+        rows.mask[kept, FRAMES - 1] = False
+        rows.track[kept], rows.kind[kept] = rows.track[i], rows.kind[i]
+        if alive:
+            kept += 1
+    rows.count[0] = kept
+
+
+@compiled
+def row_of(rows: Rows, track: int) -> int:
+    """The row of a track id; a new empty row if it is unknown; -1 if the graph is full."""
+    for i in range(rows.count[0]):
+        if rows.track[i] == track:
+            return i
+    i = rows.count[0]
+    if i == rows.track.shape[0]:
+        return -1
+    rows.count[0] += 1
+    rows.track[i] = track
+    rows.mask[i] = False
+    return i
+
+
+def as_graph(rows: Rows, sender: int, time: float) -> Graph:
+    """The rows in use as the noun that leaves this package."""
+    n = int(rows.count[0])
+    mask = rows.mask[:n].copy()
+    position = np.where(mask[..., None], rows.position[:n], 0.0)
+    return Graph(sender, time, rows.track[:n].copy(), position, mask, rows.kind[:n].copy())

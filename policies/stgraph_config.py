@@ -1,0 +1,73 @@
+"""The knobs of the spatiotemporal graph network: a frozen record that refuses nonsense."""
+
+from dataclasses import dataclass
+
+from cad_env.config import check_range
+
+FUSIONS = ("last", "per_layer")
+TEMPORAL_EDGES = ("all", "consecutive", "causal")
+_SIZES = {"hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
+_SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
+
+
+def _check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise ValueError(f"network {name} must be one of {', '.join(allowed)}, got {value!r}")
+
+
+@dataclass(frozen=True)
+class StGraphConfig:
+    """The network of the paper, in our reading of it; every option is its letter, an ablation of it or a departure.
+
+    >>> StGraphConfig(fusion="first")
+    Traceback (most recent call last):
+    ValueError: network fusion must be one of last, per_layer, got 'first'
+    """
+
+    hidden: int = 12  # columns of W_v
+    heads: int = 4
+    head_width: int = 6  # columns of W; inner layers concatenate the heads, the last one averages them
+    layers: int = 2
+    mlp_width: int = 16  # not stated in the paper
+    position_scale: float = 1 / 50  # 1/m; the paper feeds metres into exp()
+
+    # The letter of the paper, where it hinders learning or leaves a choice.
+    attn_slope: float = 0.2  # LeakyReLU of the attention score; 0 is the paper's ReLU, where most scores tie at 0
+    relu_logits: bool = False  # the paper's ReLU before the last softmax: no gradient when both logits are clamped
+    node_time: bool = False  # time as the fourth node input, the other way to read W_v in R^(4x12)
+    fusion: str = "last"  # weigh the two relations once at the end, or after every layer as HAN does
+    temporal_edges: str = "all"  # of one track: all pairs, neighbouring sightings only, or only from past to future
+
+    # The paper's ablations.
+    edge_attributes: bool = True  # False: row E, edges without distances and time gaps
+    temporal: bool = True  # False: rows NT, the newest frame and spatial edges only
+
+    # Departures: inputs that the paper's network is not given.
+    velocity: bool = False  # nodes carry their track's least-squares velocity over the window, the ego node its speed
+    ego_speed: bool = False  # the ego's speed beside the command
+    class_input: bool = False  # nodes say whether they are a truck
+
+    def __post_init__(self) -> None:
+        for name, most in _SIZES.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+                raise ValueError(f"network {name} must be a whole number from 1 to {most}, got {value!r}")
+        for name in _SWITCHES:
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"network {name} must be True or False, got {getattr(self, name)!r}")
+        check_range("network position_scale", self.position_scale, 1e-4, 1.0)
+        check_range("network attn_slope", self.attn_slope, 0.0, 1.0)
+        _check_choice("fusion", self.fusion, FUSIONS)
+        _check_choice("temporal_edges", self.temporal_edges, TEMPORAL_EDGES)
+        if not self.temporal:
+            self._refuse_what_needs_time()
+
+    def _refuse_what_needs_time(self) -> None:
+        for name, idle in (("node_time", False), ("velocity", False), ("fusion", "last"), ("temporal_edges", "all")):
+            if getattr(self, name) != idle:
+                raise ValueError(f"network {name} must be {idle!r} when temporal is False, got {getattr(self, name)!r}")
+
+    @property
+    def node_inputs(self) -> int:
+        """Numbers that a node carries: x, y, z and what the options add."""
+        return 3 + self.node_time + 2 * self.velocity + self.class_input

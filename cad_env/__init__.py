@@ -1,1 +1,40 @@
-"""Connected autonomous driving."""
+"""Connected autonomous driving: accident-prone scenes, and what passes between vehicles that share what they see.
+
+    seed -> scenario -> world --truth--> sense -> track -> graph -----+------------> merge -> observe -> decide
+            (who, where)  ^              (line of  (who    (last 15   |               ^                    |
+                          |               sight)    is who) frames)   v               |                    |
+                          |                                         encode -> radio --+ decode             |
+                          +------------------------- go / brake -------------------------------------------+
+
+One step of `CADEnv` (Gymnasium, the ego decides) or `parallel_env` (PettingZoo, every connected vehicle decides)
+runs this once for every connected vehicle. No learning here, and no torch: networks live in `policies`.
+
+>>> import gymnasium as gym
+>>> env = gym.make("CADLeftTurn-v0", radio="dsrc")
+>>> observation, info = env.reset(seed=0)
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+
+from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig
+from cad_env.types import BRAKE, GO, Command
+
+if TYPE_CHECKING:
+    from cad_env.parallel import CADParallelEnv
+
+__all__ = ["BRAKE", "GO", "RADIO_PRESETS", "Command", "RadioConfig", "SensorConfig", "parallel_env"]
+__version__ = "0.1.0"
+
+# Ids by name, not by import, so that `import cad_env` stays instant.
+for _id, _scenario in {"CADLeftTurn-v0": "left_turn"}.items():
+    if _id not in gym.registry:
+        gym.register(_id, entry_point="cad_env.env:CADEnv", kwargs={"scenario": _scenario})
+
+
+def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> "CADParallelEnv":
+    """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
+    from cad_env.parallel import parallel_env as make
+
+    return make(env_id, render_mode, **options)

@@ -32,10 +32,12 @@ from cad_env.pipeline.codec_bits import (
     VARINT_BYTES,
     crc32,
     frames_seen,
+    named_before,
     newest_column,
     put_fixed,
     put_varint,
     put_walk,
+    set_nodes,
     take_fixed,
     take_varint,
     take_walk,
@@ -105,10 +107,9 @@ def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: Rows) -> i
             if at < 0:
                 return -1
             tracks += 1
-    start = put_fixed(buffer, 0, _MAGIC, 2)
-    start = put_fixed(buffer, start, VERSION | depth << 8 | _RESOLUTION << 16 | tracks << 24, 4)
-    start = put_fixed(buffer, start, sender, 2)
-    put_fixed(buffer, start, time_ms, 4)
+    put_fixed(buffer, 0, _MAGIC | VERSION << 16 | depth << 24, 4)
+    put_fixed(buffer, 4, _RESOLUTION | tracks << 8 | sender << 16, 4)
+    put_fixed(buffer, 8, time_ms, 4)
     return put_fixed(buffer, at, crc32(buffer, at), _CRC)
 
 
@@ -178,7 +179,7 @@ def _take_track(buffer: Bytes, at: int, end: int, rows: Rows, row: int, depth: i
     if frames == 0 or frames >> depth:
         return -NO_NODE
     rows.track[row], rows.kind[row] = name >> 1, name & 1
-    if rows.track[row] > MAX_ID or _is_known(rows.track, row):
+    if rows.track[row] > MAX_ID or named_before(rows.track, row):
         return -IDENTITY
     newest = newest_column(frames)
     at += 2
@@ -191,29 +192,8 @@ def _take_track(buffer: Bytes, at: int, end: int, rows: Rows, row: int, depth: i
             origin[axis] = to_units(rows.position[row, newest, axis])
     if varies and not varies_along(rows.position, row, 2, frames):
         return -SPELLING
-    _set_nodes(rows, row, frames, varies)
+    set_nodes(rows, row, frames, varies)
     return at
-
-
-@compiled
-def _is_known(track: Ints, row: int) -> bool:
-    for other in range(row):
-        if track[other] == track[row]:
-            return True
-    return False
-
-
-@compiled
-def _set_nodes(rows: Rows, row: int, frames: int, varies: int) -> None:
-    """Set the mask, give every node its height where it is one, and clear what is absent."""
-    height = rows.position[row, newest_column(frames), 2]
-    for column in range(FRAMES):
-        present = frames >> FRAMES - 1 - column & 1 == 1
-        rows.mask[row, column] = present
-        if not present:
-            rows.position[row, column, :] = 0.0
-        elif not varies:
-            rows.position[row, column, 2] = height
 
 
 def encode(graph: Graph, depth: int = FRAMES) -> bytes:
@@ -235,31 +215,24 @@ def decode(payload: bytes) -> Graph:
     """The graph of a message; DecodeError for any bytes that `encode` does not write."""
     if len(payload) > max_bytes(MAX_TRACKS):
         raise DecodeError(f"message of {len(payload)} bytes refused: no graph takes more than {max_bytes(MAX_TRACKS)}")
-    header, one = np.zeros(3, np.int64), np.zeros(MAX_TRACKS)
-    nodes = np.zeros((MAX_TRACKS, FRAMES, 3))
-    rows = _rows(0, one, nodes, nodes[:, :, 0], one)
-    buffer = np.array(bytearray(payload), np.uint8)
+    buffer, header = np.array(bytearray(payload), np.uint8), np.zeros(3, np.int64)
+    zeros = np.zeros((MAX_TRACKS, FRAMES, 3))
+    rows = _rows(0, zeros[:, 0, 0], zeros, zeros[:, :, 0] > 0.0, zeros[:, 0, 0])
     status = read(buffer, len(payload), header, rows)
     if status != ACCEPTED:
         raise DecodeError(f"message of {len(payload)} bytes refused: {REASONS[status]}")
     count = int(rows.count[0])
-    return Graph(
-        sender=int(header[0]),
-        time=int(header[1]) / 1000.0,
-        track=rows.track[:count].copy(),
-        position=rows.position[:count].copy(),
-        mask=rows.mask[:count].copy(),
-        kind=rows.kind[:count].copy(),
-    )
+    own = (column[:count].copy() for column in rows[1:])
+    return Graph(int(header[0]), int(header[1]) / 1000.0, *own)
 
 
 def _rows(count: int, track: Ints, position: Floats, mask: Bools, kind: Ints) -> Rows:
     return Rows(
-        count=np.array([count], np.int64),
-        track=np.ascontiguousarray(track, np.int64),
-        position=np.ascontiguousarray(position, np.float64),
-        mask=np.ascontiguousarray(mask, np.bool_),
-        kind=np.ascontiguousarray(kind, np.int8),
+        np.array([count], np.int64),
+        np.ascontiguousarray(track, np.int64),
+        np.ascontiguousarray(position, np.float64),
+        np.ascontiguousarray(mask, np.bool_),
+        np.ascontiguousarray(kind, np.int8),
     )
 
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from cad_env.compiled import compiled
-from cad_env.types import FRAMES, Bools, Bytes, Floats, Ints
+from cad_env.types import FRAMES, Bools, Bytes, Floats, Ints, Rows
 
 REACH = 100_000.0  # m, the largest coordinate
 UNITS = 100  # units a metre: the resolution is 1 cm
@@ -95,19 +95,6 @@ def take_varint(buffer: Bytes, at: int, end: int) -> tuple[int, int]:
 
 
 @compiled
-def put_signed(buffer: Bytes, at: int, value: int) -> int:
-    """Write a signed value as a varint in which small magnitudes are short: 0, -1, 1, -2 ... become 0, 1, 2, 3 ..."""
-    return put_varint(buffer, at, value << 1 if value >= 0 else (-value << 1) - 1)
-
-
-@compiled
-def take_signed(buffer: Bytes, at: int, end: int) -> tuple[int, int]:
-    """(signed value, where the next one begins), with the places of `take_varint`."""
-    value, after = take_varint(buffer, at, end)
-    return (-(value >> 1) - 1 if value & 1 else value >> 1), after
-
-
-@compiled
 def to_units(metres: float) -> int:
     """To the nearest unit, a half always upwards; beyond any accepted value if that is outside."""
     # Written as a negation, the test also catches what is not a number.
@@ -166,40 +153,65 @@ def put_walk(buffer: Bytes, at: int, position: Floats, row: int, axis: int, fram
 
     Answers where the next walk begins, or -OUTSIDE. Bit a of `frames` is the node `a` frames before the newest.
     """
-    pace, gap, nodes, column = 0, 0, 0, FRAMES - 1
-    while frames:
+    pace, gap, nodes = 0, 0, 0
+    for age in range(FRAMES):
         gap += 1
-        if frames & 1:
-            now = to_units(position[row, column, axis])
+        if frames >> age & 1:
+            now = to_units(position[row, FRAMES - 1 - age, axis])
             if abs(now) > _LIMIT:
                 return -OUTSIDE
             surprise = now - value - pace * gap
-            at = put_signed(buffer, at, surprise)
+            folded = surprise << 1 ^ surprise >> 63
+            if folded < 128:
+                buffer[at] = folded
+                at += 1
+            else:
+                at = put_varint(buffer, at, folded)
             pace = _next_pace(pace, surprise, gap, nodes)
             value, gap, nodes = now, 0, nodes + 1
-        frames >>= 1
-        column -= 1
     return at
 
 
 @compiled
-def take_walk(
-    buffer: Bytes, at: int, end: int, position: Floats, row: int, axis: int, frames: int, value: int
-) -> int:
+def take_walk(buffer: Bytes, at: int, end: int, position: Floats, row: int, axis: int, frames: int, value: int) -> int:
     """Read what `put_walk` writes; answers where the next walk begins, or the negative of the reason."""
-    pace, gap, nodes, column = 0, 0, 0, FRAMES - 1
-    while frames:
+    pace, gap, nodes = 0, 0, 0
+    for age in range(FRAMES):
         gap += 1
-        if frames & 1:
-            surprise, at = take_signed(buffer, at, end)
-            if at < 0:
-                return at
+        if frames >> age & 1:
+            if at < end and buffer[at] < 128:
+                folded, at = int(buffer[at]), at + 1
+            else:
+                folded, at = take_varint(buffer, at, end)
+                if at < 0:
+                    return at
+            surprise = folded >> 1 ^ -(folded & 1)
             value += pace * gap + surprise
             if abs(value) > _LIMIT:
                 return -OUTSIDE
-            position[row, column, axis] = value / UNITS
+            position[row, FRAMES - 1 - age, axis] = value / UNITS
             pace = _next_pace(pace, surprise, gap, nodes)
             gap, nodes = 0, nodes + 1
-        frames >>= 1
-        column -= 1
     return at
+
+
+@compiled
+def named_before(track: Ints, row: int) -> bool:
+    """Whether a row before this one has its id."""
+    known = False
+    for other in range(row):
+        known |= track[other] == track[row]
+    return known
+
+
+@compiled
+def set_nodes(rows: Rows, row: int, frames: int, varies: int) -> None:
+    """Set the mask, give every node its height where it is one, and clear what is absent."""
+    height = rows.position[row, newest_column(frames), 2]
+    for column in range(FRAMES):
+        present = frames >> FRAMES - 1 - column & 1 == 1
+        rows.mask[row, column] = present
+        if not present:
+            rows.position[row, column, :] = 0.0
+        elif not varies:
+            rows.position[row, column, 2] = height

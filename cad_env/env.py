@@ -1,0 +1,166 @@
+"""The single-agent environment: a highway-env AbstractEnv over the compiled world. The ego decides: go or brake."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.abstract import AbstractEnv
+
+from cad_env.config import check_names
+from cad_env.pipeline.observe import observation_space
+from cad_env.planner import Truth
+from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
+from cad_env.types import BRAKE, GO, Floats, Observation
+from cad_env.views import NorthUpViewer, WorldRoad
+
+_SETUP = ("scenario", "traffic", "sensor", "radio", "depth")
+
+
+class CADEnv(AbstractEnv):  # type: ignore[misc]
+    """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
+
+    Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
+    dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `traffic` (dict of the scenario's
+    ranges). The reward of a step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
+
+    >>> env = CADEnv(scenario="left_turn", radio="dsrc")
+    >>> observation, info = env.reset(seed=1, options={"hazard": True})
+    >>> observation["tracks"].shape, info["hazard"]
+    ((16, 15, 3), True)
+    """
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012  Gymnasium's own form
+
+    def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {self.metadata['render_modes']}")
+        check_names("option", options, [*_SETUP, "config", "render_mode"])
+        self.observation_space: spaces.Dict = observation_space()
+        self.action_space: spaces.Discrete = spaces.Discrete(2)
+        super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        """highway-env's display settings, and what `setup_from` takes."""
+        return {
+            **super().default_config(),
+            "observation": {"type": "SpatiotemporalGraph"},
+            "action": {"type": "GoBrake"},
+            "simulation_frequency": 20,
+            "policy_frequency": 10,
+            "screen_width": 720,
+            "screen_height": 720,
+            "centering_position": [0.5, 0.5],
+            "scaling": 6.0,
+            "scenario": "left_turn",
+        }
+
+    def configure(self, config: Mapping[str, Any] | None) -> None:
+        """Take settings in; an unknown or changed-but-fixed one is refused with its name, value and the choices."""
+        default = self.default_config()
+        given = dict(config or {})
+        check_names("setting", given, [*default, *_SETUP])
+        for name in ("observation", "action", "simulation_frequency", "policy_frequency"):
+            if given.get(name, default[name]) != default[name]:
+                raise ValueError(f"{name} is {default[name]!r} in this environment, got {given[name]!r}")
+        super().configure(given)
+        self.simulation = Simulation(setup_from({k: v for k, v in self.config.items() if k in _SETUP}))
+
+    def define_spaces(self) -> None:
+        """The spaces never change, so that a seeded action space stays seeded."""
+        self.observation_type = self.action_type = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Draw a scene. Options: `hazard` True or False forces the kind of episode, `config` changes settings."""
+        options = options or {}
+        check_names("reset option", options, ["hazard", "config"])
+        hazard = options.get("hazard")
+        if hazard not in (None, True, False):
+            raise ValueError(f"hazard must be True, False or None, got {hazard!r}")
+        gym.Env.reset(self, seed=seed)
+        if "config" in options:
+            self.configure(options["config"])
+        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard, receivers=1)
+        self.time, self.steps, self.done = 0.0, 0, False
+        simulation = self.simulation
+        self.road = WorldRoad(simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected)
+        self.controlled_vehicles = [self.road.rows[0]]
+        self._progress = float(simulation.world.progress[0])
+        self._way = simulation.goal(0) - self._progress
+        self._actions = np.zeros(len(simulation.agents), np.int64)
+        if self.render_mode == "human":
+            self.render()
+        return simulation.observation(0), self._info()
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Decide, let 0.1 s pass, perceive. The other connected vehicles follow their drivers."""
+        if self.done:
+            raise RuntimeError("the episode is over: call reset() before step()")
+        simulation = self.simulation
+        self._actions[0] = checked_action(action)
+        simulation.step(self._actions)
+        self.time, self.steps = simulation.time, simulation.steps
+        outcome = simulation.outcome()
+        self.done = outcome is not None
+        if self.render_mode == "human":
+            self.render()
+        return (
+            simulation.observation(0), self._reward(action), outcome in (SUCCESS, COLLISION), outcome == TIMEOUT,
+            self._info(),
+        )  # fmt: skip
+
+    def _reward(self, action: int) -> float:
+        progress = float(self.simulation.world.progress[0])
+        covered, self._progress = progress - self._progress, progress
+        return covered / self._way + {SUCCESS: 1.0, COLLISION: -1.0}.get(self.simulation.outcome() or "", 0.0)
+
+    def _info(self, *_: Any) -> dict[str, Any]:
+        simulation = self.simulation
+        outcome = simulation.outcome()
+        return {
+            "seed": simulation.seed,
+            "hazard": simulation.scene.hazard,
+            "speed": float(simulation.world.speed[0]),
+            "crashed": outcome == COLLISION,
+            "outcome": outcome,
+            "is_success": outcome == SUCCESS,
+            "min_ttc": simulation.min_ttc,
+            **simulation.traffic_on_air(),
+        }
+
+    def truth(self) -> Truth:
+        """The world itself: what a privileged policy is given in place of an observation."""
+        return self.simulation.truth()
+
+    def object_lists(self) -> list[Floats]:
+        """For each connected vehicle, ego first, the (n, 3) m newest positions of the objects it tracks itself."""
+        lists = []
+        for agent in range(len(self.simulation.agents)):
+            graph = self.simulation.own_graph(agent)
+            lists.append(graph.position[1:, -1][graph.mask[1:, -1]])
+        return lists
+
+    def render(self) -> Any:
+        """An image (H, W, 3) uint8 in mode rgb_array; a window in mode human."""
+        if self.viewer is None and self.render_mode is not None:
+            self.viewer = NorthUpViewer(self)
+        return super().render()
+
+    def close(self) -> None:
+        """Close the window, if there is one. The environment can be reset again."""
+        super().close()
+
+
+def checked_action(action: Any) -> int:
+    """GO or BRAKE as an int; ValueError for anything else, NaN and bools of other shapes included.
+
+    >>> checked_action(np.int64(1))
+    1
+    """
+    value = np.asarray(action)
+    if value.ndim != 0 or value.dtype.kind not in "iuf" or not math.isfinite(value) or value not in (GO, BRAKE):
+        raise ValueError(f"action must be {GO} (go) or {BRAKE} (brake), got {action!r}")
+    return int(value)

@@ -1,0 +1,128 @@
+"""The multi-agent environment (PettingZoo): every connected vehicle sees, is told, and decides for itself."""
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from cad_env.config import check_names
+from cad_env.env import checked_action
+from cad_env.pipeline.observe import observation_space
+from cad_env.planner import Truth
+from cad_env.scenarios import SCENARIOS
+from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
+from cad_env.types import GO, Observation
+from cad_env.views import NorthUpViewer, WorldRoad
+
+MAX_AGENTS = 5  # the ego and up to four collaborators
+
+
+class CADParallelEnv(ParallelEnv[str, Observation, int]):  # type: ignore[misc]
+    """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
+
+    A vehicle that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
+    Keyword arguments as for CADEnv.
+    """
+
+    metadata = {"name": "cad_v0", "render_modes": ["rgb_array", "human"], "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
+
+    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {self.metadata['render_modes']}")
+        self.simulation = Simulation(setup_from(options))
+        self.render_mode = render_mode
+        self.possible_agents = [f"cav_{k}" for k in range(MAX_AGENTS)]
+        self.agents: list[str] = []
+        self.np_random = np.random.default_rng()
+        self._viewer: NorthUpViewer | None = None
+
+    @cache  # noqa: B019  PettingZoo compares the identity of spaces; an env lives as long as its spaces
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """The same for every agent."""
+        return observation_space()
+
+    @cache  # noqa: B019
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """0 go, 1 brake."""
+        return spaces.Discrete(2)
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Draw a scene; option `hazard` True or False forces the kind of episode."""
+        options = dict(options or {})
+        check_names("reset option", options, ["hazard"])
+        if seed is not None:
+            self.np_random = np.random.default_rng(seed)
+        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, options.get("hazard"))
+        self.agents = self.possible_agents[: len(self.simulation.agents)]
+        rows = self.simulation.agents
+        self._progress = self.simulation.world.progress[rows].copy()
+        self._way = np.array([self.simulation.goal(k) for k in range(len(rows))]) - self._progress
+        return self._observations(), {agent: self._info(k) for k, agent in enumerate(self.agents)}
+
+    def step(
+        self, actions: Mapping[str, int]
+    ) -> tuple[
+        dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
+    ]:  # fmt: skip
+        """Everybody decides, 0.1 s passes, everybody perceives; whoever is done leaves."""
+        if not self.agents:
+            raise RuntimeError("no agent is left: call reset() before step()")
+        if set(actions) != set(self.agents):
+            raise ValueError(f"one action for each of {self.agents} is needed, got {sorted(actions)}")
+        chosen = np.full(len(self.simulation.agents), GO)
+        for agent, action in actions.items():
+            chosen[self._index(agent)] = checked_action(action)
+        self.simulation.step(chosen)
+        outcomes = {agent: self.simulation.outcome(self._index(agent)) for agent in self.agents}
+        rewards = self._rewards(outcomes)
+        observations = self._observations()
+        infos = {agent: self._info(self._index(agent)) for agent in self.agents}
+        terminations = {agent: outcome in (SUCCESS, COLLISION) for agent, outcome in outcomes.items()}
+        truncations = {agent: outcome == TIMEOUT for agent, outcome in outcomes.items()}
+        self.agents = [agent for agent in self.agents if outcomes[agent] is None]
+        return observations, rewards, terminations, truncations, infos
+
+    def _index(self, agent: str) -> int:
+        return self.possible_agents.index(agent)
+
+    def _observations(self) -> dict[str, Observation]:
+        return {agent: self.simulation.observation(self._index(agent)) for agent in self.agents}
+
+    def _rewards(self, outcomes: Mapping[str, str | None]) -> dict[str, float]:
+        """As in CADEnv: the share of one's own way, +1 on arrival, -1 on a collision."""
+        progress = self.simulation.world.progress[self.simulation.agents]
+        share = (progress - self._progress) / np.maximum(self._way, 1.0)
+        self._progress = progress.copy()
+        final = {SUCCESS: 1.0, COLLISION: -1.0}
+        return {a: float(share[self._index(a)]) + final.get(outcome or "", 0.0) for a, outcome in outcomes.items()}
+
+    def _info(self, index: int) -> dict[str, Any]:
+        simulation, air = self.simulation, self.simulation.fleet.report
+        outcome = simulation.outcome(index)
+        return {
+            "seed": simulation.seed, "hazard": simulation.scene.hazard, "outcome": outcome,
+            "is_success": outcome == SUCCESS, "speed": float(simulation.world.speed[simulation.agents[index]]),
+            "bytes_sent": int(air.sent_bytes[index]), "bytes_received": int(air.received_bytes[index]),
+            "messages_lost": int(air.lost[index]),
+        }  # fmt: skip
+
+    def truth(self, agent: str) -> Truth:
+        """The world itself, for a privileged policy."""
+        return self.simulation.truth(self._index(agent))
+
+    @property
+    def state(self) -> Any:
+        raise AttributeError("this environment has no global state array: use truth(agent)")
+
+
+def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> CADParallelEnv:
+    """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
+    ids = {scenario.gym_id: scenario.name for scenario in SCENARIOS.values()}
+    if env_id not in ids:
+        raise ValueError(f"unknown environment {env_id!r}: choose among {', '.join(ids)}")
+    return CADParallelEnv(render_mode=render_mode, scenario=ids[env_id], **options)

@@ -44,7 +44,8 @@ from cad_env.pipeline.codec_bits import (
     to_units,
     varies_along,
 )
-from cad_env.types import CAR, FRAMES, ROWS, TRUCK, Bools, Bytes, Floats, Graph, Ints, Rows
+from cad_env.rows import as_graph, empty_rows
+from cad_env.types import CAR, FRAMES, ROWS, TRUCK, Bytes, Graph, Ints, Rows
 
 VERSION = 1
 MAX_TRACKS = 255
@@ -102,11 +103,20 @@ def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: Rows) -> i
     origin = np.zeros(3, np.int64)
     for row in range(rows.count[0]):
         frames = frames_seen(rows.mask, row, depth)
-        if frames != 0:
-            at = _put_track(buffer, at, rows, row, frames, origin, tracks == 0)
+        if frames == 0:
+            continue
+        varies = varies_along(rows.position, row, 2, frames)
+        at = put_varint(buffer, at, rows.track[row] << 1 | rows.kind[row])
+        at = put_fixed(buffer, at, frames | varies << _VARIES, 2)
+        newest = newest_column(frames)
+        for axis in range(3):
+            walked = frames if axis < 2 or varies else 1 << FRAMES - 1 - newest
+            at = put_walk(buffer, at, rows.position, row, axis, walked, origin[axis])
             if at < 0:
                 return -1
-            tracks += 1
+            if tracks == 0:
+                origin[axis] = to_units(rows.position[row, newest, axis])
+        tracks += 1
     put_fixed(buffer, 0, _MAGIC | VERSION << 16 | depth << 24, 4)
     put_fixed(buffer, 4, _RESOLUTION | tracks << 8 | sender << 16, 4)
     put_fixed(buffer, 8, time_ms, 4)
@@ -152,22 +162,6 @@ def _check_envelope(buffer: Bytes, length: int) -> int:
 
 
 @compiled
-def _put_track(buffer: Bytes, at: int, rows: Rows, row: int, frames: int, origin: Ints, is_first: bool) -> int:
-    varies = varies_along(rows.position, row, 2, frames)
-    at = put_varint(buffer, at, rows.track[row] << 1 | rows.kind[row])
-    at = put_fixed(buffer, at, frames | varies << _VARIES, 2)
-    newest = newest_column(frames)
-    for axis in range(3):
-        walked = frames if axis < 2 or varies else 1 << FRAMES - 1 - newest
-        at = put_walk(buffer, at, rows.position, row, axis, walked, origin[axis])
-        if at < 0:
-            return -1
-        if is_first:
-            origin[axis] = to_units(rows.position[row, newest, axis])
-    return at
-
-
-@compiled
 def _take_track(buffer: Bytes, at: int, end: int, rows: Rows, row: int, depth: int, origin: Ints) -> int:
     name, at = take_varint(buffer, at, end)
     if at < 0:
@@ -206,7 +200,13 @@ def encode(graph: Graph, depth: int = FRAMES) -> bytes:
     """
     _check_graph(graph, depth)
     buffer = np.empty(max_bytes(len(graph.track)), np.uint8)
-    rows = _rows(len(graph.track), graph.track, graph.position, graph.mask, graph.kind)
+    rows = Rows(
+        np.array([len(graph.track)], np.int64),
+        np.ascontiguousarray(graph.track, np.int64),
+        np.ascontiguousarray(graph.position, np.float64),
+        np.ascontiguousarray(graph.mask, np.bool_),
+        np.ascontiguousarray(graph.kind, np.int8),
+    )
     length = write(buffer, graph.sender, round(graph.time * 1000.0), depth, rows)
     return buffer[:length].tobytes()
 
@@ -216,24 +216,11 @@ def decode(payload: bytes) -> Graph:
     if len(payload) > max_bytes(MAX_TRACKS):
         raise DecodeError(f"message of {len(payload)} bytes refused: no graph takes more than {max_bytes(MAX_TRACKS)}")
     buffer, header = np.array(bytearray(payload), np.uint8), np.zeros(3, np.int64)
-    zeros = np.zeros((MAX_TRACKS, FRAMES, 3))
-    rows = _rows(0, zeros[:, 0, 0], zeros, zeros[:, :, 0] > 0.0, zeros[:, 0, 0])
+    rows = empty_rows(rows=MAX_TRACKS)
     status = read(buffer, len(payload), header, rows)
     if status != ACCEPTED:
         raise DecodeError(f"message of {len(payload)} bytes refused: {REASONS[status]}")
-    count = int(rows.count[0])
-    own = (column[:count].copy() for column in rows[1:])
-    return Graph(int(header[0]), int(header[1]) / 1000.0, *own)
-
-
-def _rows(count: int, track: Ints, position: Floats, mask: Bools, kind: Ints) -> Rows:
-    return Rows(
-        np.array([count], np.int64),
-        np.ascontiguousarray(track, np.int64),
-        np.ascontiguousarray(position, np.float64),
-        np.ascontiguousarray(mask, np.bool_),
-        np.ascontiguousarray(kind, np.int8),
-    )
+    return as_graph(rows, int(header[0]), int(header[1]) / 1000.0)
 
 
 def _check_graph(graph: Graph, depth: int) -> None:

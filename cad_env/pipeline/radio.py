@@ -1,0 +1,210 @@
+"""The radio: broadcasts under a byte budget, with loss, delay and range.
+
+A sender has a budget of bytes in each slot of 100 ms. A message that does not fit into what is left of it is refused
+whole and says why; nothing is ever cut. What becomes of an accepted message is settled when it is sent, for each
+receiver by itself: out of range then, lost, or on its way for `delay` steps. The chance of a loss is a function of
+(step, sender, receiver, number of the message in its slot): another vehicle, receiver or message moves no other loss.
+
+`Air` with `send`, `fate` and `fetch` is this for the compiled step, where a vehicle sends at most one message a step.
+`Radio` is the same for any messages. Both keep to `refusal` and `fate_at`.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from cad_env.chance import stream_key, uniform
+from cad_env.compiled import compiled
+from cad_env.config import RadioConfig
+from cad_env.types import STEP, Bools, Bytes, Floats, Ints, Message
+
+# What `send` answers.
+ACCEPTED, NO_BUDGET, OVER_BUDGET, TOO_LONG, SECOND_MESSAGE = 0, 1, 2, 3, 4
+REASONS = (
+    "accepted",
+    "this radio has no budget",
+    "over the byte budget of its slot",
+    "longer than a message can be",
+    "a second message in one step",
+)
+
+# What becomes of a message at one receiver.
+NOT_SENT, REACHES, LOST, OUT_OF_RANGE = 0, 1, 2, 3
+
+
+class Link(NamedTuple):
+    """What a compiled function needs of a RadioConfig."""
+
+    budget: float  # bytes of one sender in one slot
+    loss: float  # probability
+    range: float  # m
+    delay: int  # steps
+
+
+class Air(NamedTuple):
+    """What V vehicles sent in the last D = delay + 1 steps: a ring with slot `step % D`."""
+
+    step: Ints  # (D, V) int64 in which the vehicle called `send`; -1 before the first
+    place: Floats  # (D, V, 2) m, where it was then
+    on_air: Bools  # (D, V) whether its message was accepted
+    length: Ints  # (D, V) int64 bytes of the message
+    payload: Bytes  # (D, V, B)
+
+
+def link_of(config: RadioConfig) -> Link:
+    """The numbers of a RadioConfig."""
+    return Link(float(config.budget), float(config.loss), float(config.range), config.delay_steps)
+
+
+def empty_air(vehicles: int, link: Link, capacity: int) -> Air:
+    """Air in which nothing is under way, for messages of up to `capacity` bytes."""
+    ring = (link.delay + 1, vehicles)
+    return Air(
+        step=np.full(ring, -1, np.int64),
+        place=np.zeros((*ring, 2)),
+        on_air=np.zeros(ring, np.bool_),
+        length=np.zeros(ring, np.int64),
+        payload=np.zeros((*ring, capacity), np.uint8),
+    )
+
+
+@compiled
+def refusal(budget: float, spent: int, size: int) -> int:
+    """ACCEPTED, or why a message of `size` bytes is refused after its sender spent so many in this slot."""
+    if budget <= 0.0:
+        return NO_BUDGET  # not even an empty message: it would tell that its sender exists
+    return OVER_BUDGET if spent + size > budget else ACCEPTED
+
+
+@compiled
+def fate_at(link: Link, key: Ints, distance: float, step: int, sender: int, receiver: int, number: int) -> int:
+    """REACHES, LOST or OUT_OF_RANGE, for the `number`-th message, from 0, of a sender in a slot."""
+    # Written as a negation, an unknown distance (NaN) is out of range too.
+    if not distance <= link.range:
+        return OUT_OF_RANGE
+    return LOST if uniform(key, step, sender, receiver, number) < link.loss else REACHES
+
+
+@compiled
+def send(air: Air, link: Link, step: int, sender: int, buffer: Bytes, length: int, x: float, y: float) -> int:
+    """Broadcast buffer[:length] from (x, y) m in decision step `step` >= 0; answers ACCEPTED or why it is refused.
+
+    All vehicles call this in every step, for it also tells the radio where they are as receivers.
+    """
+    slot = step % air.step.shape[0]
+    if air.step[slot, sender] == step and air.on_air[slot, sender]:
+        return SECOND_MESSAGE
+    reason = TOO_LONG if length > air.payload.shape[2] else refusal(link.budget, 0, length)
+    air.step[slot, sender], air.on_air[slot, sender] = step, reason == ACCEPTED
+    air.place[slot, sender, 0], air.place[slot, sender, 1] = x, y
+    if reason == ACCEPTED:
+        air.length[slot, sender] = length
+        for index in range(length):
+            air.payload[slot, sender, index] = buffer[index]
+    return reason
+
+
+@compiled
+def fate(air: Air, link: Link, key: Ints, step: int, sender: int, receiver: int) -> int:
+    """What becomes, in this step, at `receiver`, of the message that `sender` sent `delay` steps ago.
+
+    `key` is that of the stream "radio". Asking again gives the same answer.
+    """
+    sent = step - link.delay
+    slot = sent % air.step.shape[0]
+    if sent < 0 or air.step[slot, sender] != sent or not air.on_air[slot, sender] or sender == receiver:
+        return NOT_SENT
+    if air.step[slot, receiver] != sent:
+        return OUT_OF_RANGE  # it was not there
+    here, there = air.place[slot, sender], air.place[slot, receiver]
+    return fate_at(link, key, math.hypot(there[0] - here[0], there[1] - here[1]), sent, sender, receiver, 0)
+
+
+@compiled
+def fetch(air: Air, link: Link, step: int, sender: int, buffer: Bytes) -> int:
+    """Copy the message that arrives from `sender` in this step, wherever it does; answers its length, or -1 for none.
+
+    It is the same for all receivers: read it once and then ask each one's `fate`.
+    """
+    sent = step - link.delay
+    slot = sent % air.step.shape[0]
+    if sent < 0 or air.step[slot, sender] != sent or not air.on_air[slot, sender]:
+        return -1
+    length = air.length[slot, sender]
+    for index in range(length):
+        buffer[index] = air.payload[slot, sender, index]
+    return int(length)
+
+
+@dataclass(frozen=True)
+class SendResult:
+    """What a sender learns: whether its message went out, why not, and its size in bytes."""
+
+    accepted: bool
+    reason: str | None
+    size: int
+
+
+class Radio:
+    """The radio for any number of vehicles and messages.
+
+    `count` holds: sent and refused messages; bytes sent; and, of the accepted messages times their receivers, how many
+    were lost or out_of_range, are in_flight, or were delivered.
+
+    >>> radio = Radio(RadioConfig(loss=0.0), seed=0)
+    >>> radio.send(Message(sender=1, sent_at=0.0, payload=b"hello"), {1: (0.0, 0.0), 2: (30.0, 40.0)})
+    SendResult(accepted=True, reason=None, size=5)
+    >>> radio.deliver(receiver=2, now=0.0)
+    [Message(sender=1, sent_at=0.0, payload=b'hello')]
+    """
+
+    def __init__(self, config: RadioConfig, seed: int) -> None:
+        self.link = link_of(config)
+        self.count: Counter[str] = Counter()
+        self._key = stream_key(seed, "radio")
+        self._slots: dict[int, tuple[int, int, int]] = {}  # sender -> its last slot, bytes and messages in it
+        self._under_way: dict[int, list[tuple[int, Message]]] = {}  # receiver -> arrival steps and messages
+
+    def send(self, message: Message, positions: Mapping[int, Floats | tuple[float, float]]) -> SendResult:
+        """Broadcast to all others at `positions`, m, which holds the sender's own too; times must not run back."""
+        if not isinstance(message.payload, bytes):
+            raise TypeError(f"payload must be bytes, so that its size is what it costs; got {type(message.payload)}")
+        step, size = _step_at(message.sent_at), len(message.payload)
+        slot, spent, number = self._slots.get(message.sender, (step, 0, 0))
+        if step < slot:
+            raise ValueError(f"sent_at {message.sent_at} s is before an earlier message of sender {message.sender}")
+        if step > slot:
+            spent, number = 0, 0
+        reason = refusal(self.link.budget, spent, size)
+        if reason != ACCEPTED:
+            self.count["refused"] += 1
+            return SendResult(False, REASONS[reason], size)
+        self._slots[message.sender] = (step, spent + size, number + 1)
+        self.count.update(sent=1, bytes=size)
+        here = positions[message.sender]
+        for receiver, there in positions.items():
+            if receiver != message.sender:
+                away = math.hypot(there[0] - here[0], there[1] - here[1])
+                outcome = fate_at(self.link, self._key, away, step, message.sender, receiver, number)
+                self.count[("", "in_flight", "lost", "out_of_range")[outcome]] += 1
+                if outcome == REACHES:
+                    self._under_way.setdefault(receiver, []).append((step + self.link.delay, message))
+        return SendResult(True, None, size)
+
+    def deliver(self, receiver: int, now: float) -> list[Message]:
+        """What has arrived at `receiver` by `now`, s, and was not delivered before; by time sent, then sender."""
+        waiting, step = self._under_way.pop(receiver, []), _step_at(now)
+        arrived = [message for arrival, message in waiting if arrival <= step]
+        self._under_way[receiver] = [item for item in waiting if item[0] > step]
+        self.count.update(in_flight=-len(arrived), delivered=len(arrived))
+        return sorted(arrived, key=lambda message: (message.sent_at, message.sender))
+
+
+def _step_at(time: float) -> int:
+    if not 0.0 <= time < 2**32 * STEP:
+        raise ValueError(f"time must be from 0 to {2**32 * STEP:g} s, got {time!r}")
+    return math.floor(time / STEP + 1e-6)  # 0.3 / 0.1 is 2.9999999999999996

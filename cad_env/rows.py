@@ -18,7 +18,7 @@ def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
 def slide(rows: Rows) -> None:
     """One frame later: every node moves one column towards the past, and rows without nodes go."""
     kept = 0
-    for i in range(rows.count[0]):
+    for i in range(rows.used[0]):
         alive = False
         for t in range(FRAMES - 1):
             rows.mask[kept, t] = rows.mask[i, t + 1]
@@ -29,19 +29,19 @@ def slide(rows: Rows) -> None:
         rows.track[kept], rows.kind[kept] = rows.track[i], rows.kind[i]
         if alive:
             kept += 1
-    rows.count[0] = kept
+    rows.used[0] = kept
 
 
 @compiled
 def row_of(rows: Rows, track: int) -> int:
     """The row of a track id; a new empty row if it is unknown; -1 if the graph is full."""
-    for i in range(rows.count[0]):
+    for i in range(rows.used[0]):
         if rows.track[i] == track:
             return i
-    i = rows.count[0]
+    i = rows.used[0]
     if i == rows.track.shape[0]:
         return -1
-    rows.count[0] += 1
+    rows.used[0] += 1
     rows.track[i] = track
     rows.mask[i] = False
     return i
@@ -49,7 +49,7 @@ def row_of(rows: Rows, track: int) -> int:
 
 def as_graph(rows: Rows, sender: int, time: float) -> Graph:
     """The rows in use as the noun that leaves this package."""
-    n = int(rows.count[0])
+    n = int(rows.used[0])
     mask = rows.mask[:n].copy()
     position = np.where(mask[..., None], rows.position[:n], 0.0)
     return Graph(sender, time, rows.track[:n].copy(), position, mask, rows.kind[:n].copy())

@@ -14,9 +14,9 @@ import numpy as np
 from cad_env.chance import stream_key
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
 from cad_env.pipeline.observe import as_observation
-from cad_env.pipeline.radio import REASONS
+from cad_env.pipeline.radio import ACCEPTED, REASONS, link_of
 from cad_env.pipeline.sense import sensing
-from cad_env.pipeline.step import Fleet, Link, new_fleet, run
+from cad_env.pipeline.step import Fleet, new_fleet, run
 from cad_env.planner import Truth
 from cad_env.rows import as_graph
 from cad_env.scenarios import scenario_named
@@ -82,8 +82,7 @@ class Simulation:
         self.map = self.scenario.map
         self.traffic = self.scenario.configured(dict(setup.traffic))
         self._sensor = sensing(setup.sensor)
-        radio = setup.radio
-        self._link = Link(radio.budget, radio.loss, radio.range, radio.delay_steps, setup.depth)
+        self._link = link_of(setup.radio)
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
         """Begin the episode of a seed. `receivers`: how many of the connected, in order, merge and observe."""
@@ -91,7 +90,7 @@ class Simulation:
         self.scene: Scene = self.scenario.scene(self.traffic, seed, hazard)
         self.world: World = place(self.scene, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
-        self._keys = np.stack([stream_key(seed, name) for name in ("sense", "gnss", "radio")])
+        self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
         self._scratch = np.zeros(len(self.world.speed))
         count = len(self.agents) if receivers is None else receivers
         self.fleet: Fleet = new_fleet(self.agents, len(self.world.speed), count, self._link)
@@ -105,13 +104,15 @@ class Simulation:
         self._perceive()
 
     def _perceive(self) -> None:
-        run(self.world, self.map.routes, self.fleet, self._sensor, self._link, self._keys, self.steps)
+        run(
+            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys, self.steps
+        )  # fmt: skip
         self.min_ttc = min(self.min_ttc, float(time_to_contact(self.world, 0)))
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on."""
         fleet = self.fleet
-        return as_observation(type(fleet.view)(*(part[agent] for part in fleet.view)))
+        return as_observation(type(fleet.views)(*(part[agent] for part in fleet.views)))
 
     def outcome(self, agent: int = 0) -> str | None:
         """success, collision, timeout, or None while the episode of this agent goes on."""
@@ -146,9 +147,9 @@ class Simulation:
         return {
             "bytes_sent": int(air.sent_bytes.sum()),
             "bytes_received": int(air.received_bytes[0]),
-            "messages_sent": int((air.refusal == 0).sum()),
+            "messages_sent": int((air.refusal == ACCEPTED).sum()),
             "messages_lost": int(air.lost[0]),
-            "refused": next((REASONS[int(reason)] for reason in air.refusal if reason), None),
+            "refused": next((REASONS[int(reason)] for reason in air.refusal if reason != ACCEPTED), None),
         }
 
     def own_graph(self, agent: int) -> Graph:

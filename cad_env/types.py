@@ -41,12 +41,12 @@ class Command(IntEnum):
 
 
 class Rows(NamedTuple):
-    """A graph as the compiled stages see it: preallocated rows, of which the first `count[0]` are in use.
+    """A graph as the compiled stages see it: preallocated rows, of which the first `used[0]` are in use.
 
     Rows beyond the count may hold anything. Column -1 of `position` and `mask` is the newest frame.
     """
 
-    count: Ints  # (1,) int64 rows in use
+    used: Ints  # (1,) int64 rows in use
     track: Ints  # (R,) int64 ids
     position: Floats  # (R, T, 3) m
     mask: Bools  # (R, T) True where the track was seen in that frame

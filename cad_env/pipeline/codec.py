@@ -101,7 +101,7 @@ def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: Rows) -> i
     """
     at, tracks = _HEADER, 0
     origin = np.zeros(3, np.int64)
-    for row in range(rows.count[0]):
+    for row in range(rows.used[0]):
         frames = frames_seen(rows.mask, row, depth)
         if frames == 0:
             continue
@@ -129,7 +129,7 @@ def read(buffer: Bytes, length: int, header: Ints, rows: Rows) -> int:
 
     Any other answer is an index of REASONS and leaves no row in use. Absent nodes get position 0.
     """
-    rows.count[0] = 0
+    rows.used[0] = 0
     status = _check_envelope(buffer, length)
     if status != ACCEPTED:
         return status
@@ -145,7 +145,7 @@ def read(buffer: Bytes, length: int, header: Ints, rows: Rows) -> int:
             return -at
     if at != end:
         return TRAILING
-    rows.count[0] = tracks
+    rows.used[0] = tracks
     return ACCEPTED
 
 

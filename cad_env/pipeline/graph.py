@@ -25,7 +25,7 @@ def add_body(rows: Rows, pose: Floats, height: float, kind: int) -> None:
 @compiled
 def add_track(rows: Rows, track: int, kind: int, recent: Floats, recent_mask: Bools) -> None:
     """Note a track's newest frames, (H, 3) and (H,): on its first entry all of them, later the newest alone."""
-    known = rows.count[0]
+    known = rows.used[0]
     i = row_of(rows, track)
     if i < 0:
         return

@@ -23,10 +23,10 @@ def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
     """Take the newest `depth` frames of a message, `age` frames old, into the window kept of its sender."""
     newest = FRAMES - 1 - age
     oldest = max(newest - depth + 1, 0)
-    for i in range(kept.count[0]):  # the message is the sender's whole word on the frames it covers
+    for i in range(kept.used[0]):  # the message is the sender's whole word on the frames it covers
         for t in range(oldest, newest + 1):
             kept.mask[i, t] = False
-    for m in range(message.count[0]):
+    for m in range(message.used[0]):
         i = row_of(kept, message.track[m])
         if i < 0:
             continue
@@ -40,7 +40,7 @@ def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
 @compiled
 def start_merge(merged: Rows, weight: Floats) -> None:
     """Empty the merged graph. weight (M, T): how many vehicles saw a node."""
-    merged.count[0] = 0
+    merged.used[0] = 0
     weight[:] = 0.0
 
 
@@ -50,7 +50,7 @@ def take_in(merged: Rows, weight: Floats, rows: Rows, first: int, trail: Floats)
 
     trail (T, 3): the ego's own pose in each frame; nodes within EGO_RADIUS of it are the ego, and are left out.
     """
-    known, count = merged.count[0], rows.count[0]
+    known, count = merged.used[0], rows.used[0]
     cost = np.empty((known, count))
     match = np.full(count, -1, np.int64)
     found = np.empty(known, np.int64)
@@ -64,10 +64,10 @@ def take_in(merged: Rows, weight: Floats, rows: Rows, first: int, trail: Floats)
     for i in range(first, count):
         g = match[i]
         if g < 0:
-            if merged.count[0] == merged.track.shape[0]:
+            if merged.used[0] == merged.track.shape[0]:
                 continue
-            g = merged.count[0]
-            merged.count[0] += 1
+            g = merged.used[0]
+            merged.used[0] += 1
             merged.track[g], merged.kind[g] = g, rows.kind[i]
             merged.mask[g] = False
         _fuse(merged, weight, g, rows, i, trail)
@@ -111,7 +111,7 @@ def _is_ego(position: Floats, pose: Floats) -> bool:
 def finish_merge(merged: Rows, trail: Floats) -> None:
     """Apply the ego rule to the fused positions too, and drop rows that hold no node."""
     kept = 0
-    for g in range(merged.count[0]):
+    for g in range(merged.used[0]):
         alive = False
         for t in range(FRAMES):
             if merged.mask[g, t] and _is_ego(merged.position[g, t], trail[t]):
@@ -125,4 +125,4 @@ def finish_merge(merged: Rows, trail: Floats) -> None:
             merged.kind[kept] = merged.kind[g]
         merged.track[kept] = kept
         kept += 1
-    merged.count[0] = kept
+    merged.used[0] = kept

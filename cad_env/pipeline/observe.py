@@ -83,7 +83,7 @@ def _clip(value: float) -> float:
 @compiled
 def observe_tracks(view: View, merged: Rows, trail: Floats) -> None:
     """Show the nearest tracks of a merged graph. trail (T, 3): the ego's pose x, y (m), heading (rad) per frame."""
-    count = merged.count[0]
+    count = merged.used[0]
     distance = np.empty(count)
     for g in range(count):
         newest = 0

@@ -1,19 +1,182 @@
 """One decision's perception and communication for a fleet: the stages in their order, as one compiled function."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from cad_env.compiled import compiled
+from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks
+from cad_env.pipeline.radio import ACCEPTED, LOST, REACHES, Air, Link, empty_air, fate, fetch, send
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
 from cad_env.rows import empty_rows, slide
 from cad_env.types import FRAMES, MERGED_ROWS, ROWS, Bools, Bytes, Floats, Ints, Rows
 from cad_env.world.state import Routes, World
 
-SENSE, GNSS, RADIO = 0, 1, 2  # rows of the stream keys
+SENSE, RADIO = 0, 1  # rows of the stream keys
+
+
+class Report(NamedTuple):
+    """What the newest step put on the air: the numbers that info dicts show."""
+
+    sent_bytes: Ints  # (V,) bytes of each sender that were accepted
+    refusal: Ints  # (V,) why a sender's message was refused, 0 if it was not
+    received_bytes: Ints  # (R,) bytes that reached each receiver
+    lost: Ints  # (R,) messages in range that did not
+
+
+class Fleet(NamedTuple):
+    """V connected vehicles, of which the first R also receive, merge and observe; the ego is number 0."""
+
+    rows: Ints  # (V,) rows of the world
+    trail: Floats  # (V, T, 3) m, m, rad: own GNSS fixes, newest last
+    tracks: Tracks  # (V, ...)
+    window: Rows  # (V, ...) own graphs
+    kept: Rows  # (R, V, ...) what each receiver holds of each sender
+    merged: Rows  # (R, ...)
+    views: View  # (R, ...)
+    air: Air
+    visible: Bools  # (V, N) who had a line of sight to whom; never leaves the simulation
+    report: Report
+    message: Rows  # scratch: the message being read
+    weight: Floats  # scratch: (M, T)
+    header: Ints  # scratch: (3,)
+    detection: Floats  # scratch: (ROWS, 3)
+    detected_kind: Ints  # scratch: (ROWS,)
+    buffer: Bytes  # scratch: (MAX_BYTES,)
+
+
+def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
+    """A fleet that has seen nothing yet."""
+    count = len(rows)
+    return Fleet(
+        rows, np.zeros((count, FRAMES, 3)), empty_tracks(count), empty_rows(count), empty_rows(receivers, count),
+        empty_rows(receivers, rows=MERGED_ROWS), empty_view(receivers), empty_air(count, link, MAX_BYTES),
+        np.zeros((count, vehicles), np.bool_),
+        Report(*(np.zeros(n, np.int64) for n in (count, count, receivers, receivers))),
+        empty_rows(), np.zeros((MERGED_ROWS, FRAMES)), np.zeros(3, np.int64), np.zeros((ROWS, 3)), np.zeros(ROWS, np.int8),
+        np.zeros(MAX_BYTES, np.uint8),
+    )  # fmt: skip
+
+
+@compiled
+def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link, depth: int, keys: Ints,
+        step: int) -> None:  # fmt: skip
+    """Sense, track, graph, encode and send for every vehicle; then deliver, merge and observe for every receiver."""
+    for v in range(fleet.rows.shape[0]):
+        perceive(world, fleet, v, sensor, keys[SENSE], step)
+    for v in range(fleet.rows.shape[0]):
+        broadcast(world, fleet, v, link, depth, step)
+    deliver(fleet, link, keys[RADIO], step)
+    for r in range(fleet.merged.used.shape[0]):
+        fuse(fleet, r)
+        show(world, routes, fleet, r)
+
+
+@compiled
+def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, step: int) -> None:
+    """One frame of one vehicle: fix, detections, tracks, and the window of its graph."""
+    row, trail = fleet.rows[v], fleet.trail[v]
+    tracks, window = _tracks_at(fleet.tracks, v), _rows_at(fleet.window, v)
+    for t in range(FRAMES - 1):
+        for axis in range(3):
+            trail[t, axis] = trail[t + 1, axis]
+    pose = trail[FRAMES - 1]
+    fix_pose(world, row, sensor, key, step, pose)
+    if step == 0:  # nothing is known of the time before the start: the vehicle is taken to have stood there
+        for t in range(FRAMES - 1):
+            trail[t] = pose
+    found = sense(world, row, sensor, key, step, pose, fleet.detection, fleet.detected_kind, fleet.visible[v])
+    update(tracks, fleet.detection, fleet.detected_kind, found, sensor.noise)
+    slide(window)
+    add_body(window, pose, CENTRE_HEIGHT[world.kind[row]], world.kind[row])
+    for i in range(tracks.used[0]):
+        if confirmed(tracks, i) and seen_now(tracks, i):
+            add_track(window, tracks.id[i], tracks.kind[i], tracks.recent[i], tracks.recent_mask[i])
+
+
+@compiled
+def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: int) -> None:
+    """Write one vehicle's graph as bytes and hand them to the radio."""
+    size = 0
+    if link.budget > 0.0:  # a radio without a budget refuses whatever is written: spare the writing
+        size = write(fleet.buffer, v, 100 * step, depth, _rows_at(fleet.window, v))
+    place = world.position[fleet.rows[v]]
+    reason = send(fleet.air, link, step, v, fleet.buffer, size, place[0], place[1])
+    fleet.report.refusal[v] = reason
+    fleet.report.sent_bytes[v] = size if reason == ACCEPTED else 0
+
+
+@compiled
+def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
+    """Parse what arrives, once per message, and give it to every receiver that it reaches."""
+    report = fleet.report
+    receivers = fleet.merged.used.shape[0]
+    for r in range(receivers):
+        report.received_bytes[r] = report.lost[r] = 0
+        for v in range(fleet.rows.shape[0]):
+            slide(_kept_at(fleet.kept, r, v))
+    for v in range(fleet.rows.shape[0]):
+        length = fetch(fleet.air, link, step, v, fleet.buffer)
+        if length < 0 or read(fleet.buffer, length, fleet.header, fleet.message) != READ:
+            continue
+        age = step - fleet.header[1] // 100  # the time in the message places its frames, not that of its arrival
+        for r in range(receivers):
+            end = fate(fleet.air, link, key, step, v, r)
+            report.lost[r] += end == LOST
+            if end == REACHES:
+                report.received_bytes[r] += length
+                receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
+
+
+@compiled
+def fuse(fleet: Fleet, r: int) -> None:
+    """Merge what receiver r knows by itself with what it holds of the others, in the order of their numbers."""
+    merged, trail = _rows_at(fleet.merged, r), fleet.trail[r]
+    start_merge(merged, fleet.weight)
+    take_in(merged, fleet.weight, _rows_at(fleet.window, r), 1, trail)  # row 0 is its own body
+    for v in range(fleet.rows.shape[0]):
+        if v != r:
+            take_in(merged, fleet.weight, _kept_at(fleet.kept, r, v), 0, trail)
+    finish_merge(merged, trail)
+
+
+@compiled
+def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
+    """Fill receiver r's view."""
+    row, view, trail = fleet.rows[r], _view_at(fleet.views, r), fleet.trail[r]
+    observe_tracks(view, _rows_at(fleet.merged, r), trail)
+    observe_ego(
+        view, trail, routes, world.route[row], world.progress[row], world.speed[row],
+        world.target_speed[row], world.size[row, 0], world.size[row, 1],
+    )  # fmt: skip
+
+
+@compiled
+def _rows_at(stack: Rows, v: int) -> Rows:
+    return Rows(stack.used[v], stack.track[v], stack.position[v], stack.mask[v], stack.kind[v])
+
+
+@compiled
+def _kept_at(stack: Rows, r: int, v: int) -> Rows:
+    return Rows(stack.used[r, v], stack.track[r, v], stack.position[r, v], stack.mask[r, v], stack.kind[r, v])
+
+
+@compiled
+def _tracks_at(stack: Tracks, v: int) -> Tracks:
+    return Tracks(
+        stack.used[v], stack.next_id[v], stack.id[v], stack.mean[v], stack.covariance[v], stack.height[v],
+        stack.kind[v], stack.hits[v], stack.misses[v], stack.recent[v], stack.recent_mask[v],
+    )  # fmt: skip
+
+
+@compiled
+def _view_at(stack: View, r: int) -> View:
+    return View(
+        stack.tracks[r], stack.mask[r], stack.kind[r], stack.odometry[r], stack.ego[r], stack.command[r],
+        stack.route[r],
+    )  # fmt: skip

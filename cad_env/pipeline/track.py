@@ -24,9 +24,9 @@ LEAST_NOISE = 0.05  # m, so that perfect sensors leave the filter well posed
 
 
 class Tracks(NamedTuple):
-    """The tracks of one vehicle; the first `count[0]` rows are in use."""
+    """The tracks of one vehicle; the first `used[0]` rows are in use."""
 
-    count: Ints  # (1,)
+    used: Ints  # (1,)
     next_id: Ints  # (1,) ids start at 1: 0 is the vehicle's own body
     id: Ints  # (R,)
     mean: Floats  # (R, 4) x, y (m), vx, vy (m/s)
@@ -64,7 +64,7 @@ def seen_now(tracks: Tracks, row: int) -> bool:
 @compiled
 def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: float) -> None:
     """Take in one frame of `found` detections with the given noise (m)."""
-    rows = tracks.count[0]
+    rows = tracks.used[0]
     cost = np.empty((ROWS, ROWS))
     match = np.empty(ROWS, np.int64)
     for i in range(rows):
@@ -82,7 +82,7 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
         _remember(tracks, i)
     _drop_lost(tracks)
     for j in range(found):
-        if not taken[j] and tracks.count[0] < ROWS:
+        if not taken[j] and tracks.used[0] < ROWS:
             _spawn(tracks, position[j], kind[j], variance)
 
 
@@ -130,8 +130,8 @@ def _remember(tracks: Tracks, i: int) -> None:
 
 @compiled
 def _spawn(tracks: Tracks, detection: Floats, kind: int, variance: float) -> None:
-    i = tracks.count[0]
-    tracks.count[0] += 1
+    i = tracks.used[0]
+    tracks.used[0] += 1
     tracks.id[i] = tracks.next_id[0]
     tracks.next_id[0] += 1
     tracks.mean[i, 0], tracks.mean[i, 1] = detection[0], detection[1]
@@ -147,7 +147,7 @@ def _spawn(tracks: Tracks, detection: Floats, kind: int, variance: float) -> Non
 @compiled
 def _drop_lost(tracks: Tracks) -> None:
     kept = 0
-    for i in range(tracks.count[0]):
+    for i in range(tracks.used[0]):
         patience = MAX_MISSES if tracks.hits[i] >= BIRTH_HITS else TENTATIVE_MISSES
         if tracks.misses[i] > patience:
             continue
@@ -160,4 +160,4 @@ def _drop_lost(tracks: Tracks) -> None:
             tracks.recent[kept] = tracks.recent[i]
             tracks.recent_mask[kept] = tracks.recent_mask[i]
         kept += 1
-    tracks.count[0] = kept
+    tracks.used[0] = kept

@@ -1,0 +1,185 @@
+"""The radio: what a broadcast may cost, and what may happen to it on the way."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cad_env.chance import stream_key
+from cad_env.config import RADIO_PRESETS, RadioConfig
+from cad_env.pipeline.radio import (
+    ACCEPTED,
+    LOST,
+    NO_BUDGET,
+    NOT_SENT,
+    OUT_OF_RANGE,
+    REACHES,
+    REASONS,
+    SECOND_MESSAGE,
+    TOO_LONG,
+    Radio,
+    empty_air,
+    fate,
+    fetch,
+    link_of,
+    send,
+)
+from cad_env.types import Message
+
+NEAR = {i: (10.0 * i, 0.0) for i in range(4)}
+CLEAR = RadioConfig(loss=0.0)
+
+
+def say(payload: bytes, sender: int = 0, step: int = 0) -> Message:
+    return Message(sender, step * 0.1, payload)
+
+
+@pytest.mark.parametrize(("preset", "budget"), [("dsrc", 25_000), ("cv2x", 90_000)])
+def test_a_slot_holds_the_budget_and_not_a_byte_more(preset: str, budget: int):
+    radio = Radio(RADIO_PRESETS[preset], seed=0)
+    assert radio.send(say(bytes(budget)), NEAR).accepted
+    assert not radio.send(say(bytes(budget + 1), step=1), NEAR).accepted
+    assert radio.count["bytes"] == budget
+
+
+def test_a_refused_message_reaches_nobody_and_says_why():
+    radio = Radio(CLEAR, seed=0)
+    result = radio.send(say(bytes(25_001)), NEAR)
+    assert (result.accepted, result.reason, result.size) == (False, "over the byte budget of its slot", 25_001)
+    assert radio.deliver(1, now=0.0) == []
+    assert radio.count["refused"] == 1
+    assert radio.count["sent"] == 0
+
+
+def test_messages_of_one_slot_share_its_budget():
+    radio = Radio(CLEAR, seed=0)
+    assert radio.send(say(bytes(20_000)), NEAR).accepted
+    assert not radio.send(say(bytes(5_001)), NEAR).accepted
+    assert radio.send(say(bytes(5_000)), NEAR).accepted
+    assert radio.send(say(bytes(25_000), sender=1), NEAR).accepted  # another sender has its own
+    assert radio.send(say(bytes(25_000), step=1), NEAR).accepted  # and so has the next slot
+
+
+@pytest.mark.parametrize("payload", [b"", b"x"])
+def test_without_a_budget_nothing_is_sent_not_even_nothing(payload: bytes):
+    result = Radio(RADIO_PRESETS["none"], seed=0).send(say(payload), NEAR)
+    assert not result.accepted
+    assert result.reason == REASONS[NO_BUDGET]
+
+
+def test_an_unlimited_budget_takes_any_message():
+    assert Radio(RADIO_PRESETS["ideal"], seed=0).send(say(bytes(10_000_000)), NEAR).accepted
+
+
+def test_losses_come_at_their_rate():
+    sent, loss = 20_000, 0.05
+    radio = Radio(RadioConfig(loss=loss), seed=1)
+    for step in range(sent):
+        radio.send(say(b"x", step=step), {0: (0.0, 0.0), 1: (1.0, 0.0)})
+    assert abs(radio.count["lost"] / sent - loss) < 4 * math.sqrt(loss * (1 - loss) / sent)
+
+
+def heard(radio: Radio, vehicles: int, steps: int = 200) -> list[tuple[int, int, int]]:
+    """(step, sender, receiver) among the vehicles 0 and 1, of as many as there are."""
+    links = []
+    for step in range(steps):
+        for sender in range(vehicles):
+            radio.send(say(b"x", sender, step), {i: NEAR[i] for i in range(vehicles)})
+        for receiver in (0, 1):
+            links += [(step, m.sender, receiver) for m in radio.deliver(receiver, step * 0.1) if m.sender < 2]
+    return links
+
+
+def test_a_third_vehicle_changes_no_loss_between_the_other_two():
+    config = RadioConfig(loss=0.5)
+    assert heard(Radio(config, seed=5), vehicles=2) == heard(Radio(config, seed=5), vehicles=3)
+
+
+def test_the_two_directions_of_a_link_and_two_seeds_lose_different_messages():
+    config = RadioConfig(loss=0.5)
+    links = heard(Radio(config, seed=5), vehicles=2)
+    assert {step for step, sender, _ in links if sender == 0} != {step for step, sender, _ in links if sender == 1}
+    assert links != heard(Radio(config, seed=6), vehicles=2)
+
+
+def test_a_delay_counts_in_whole_steps():
+    radio = Radio(RadioConfig(loss=0.0, delay=0.25), seed=0)
+    radio.send(say(b"x"), NEAR)
+    assert radio.deliver(1, now=0.2) == []
+    assert radio.count["in_flight"] == 3
+    assert [message.payload for message in radio.deliver(1, now=0.3)] == [b"x"]
+    assert radio.deliver(1, now=0.3) == []
+
+
+@pytest.mark.parametrize(("away", "arrives"), [(150.0, True), (150.01, False), (math.nan, False)])
+def test_a_message_reaches_as_far_as_the_range(away: float, arrives: bool):
+    radio = Radio(CLEAR, seed=0)
+    radio.send(say(b"x"), {0: (0.0, 0.0), 1: (0.6 * away, 0.8 * away)})
+    assert bool(radio.deliver(1, now=0.0)) is arrives
+    assert radio.count["out_of_range"] == (not arrives)
+
+
+def test_deliveries_come_in_the_order_of_time_then_sender():
+    radio = Radio(RadioConfig(loss=0.0, delay=0.2), seed=0)
+    for step, sender in ((0, 3), (0, 1), (1, 2)):
+        radio.send(say(b"x", sender, step), NEAR)
+    assert [message.sender for message in radio.deliver(0, now=0.5)] == [1, 3, 2]
+
+
+def test_every_message_is_accounted_for():
+    radio = Radio(RadioConfig(loss=0.3, delay=0.3, range=25.0), seed=2)
+    for step in range(50):
+        for sender in range(4):
+            radio.send(say(b"xyz", sender, step), NEAR)
+        radio.deliver(0, step * 0.1)
+        if step % 2:
+            radio.deliver(1, step * 0.1)
+    count = radio.count
+    assert min(count[fate] for fate in ("delivered", "lost", "out_of_range", "in_flight")) > 0
+    assert count["sent"] * 3 == sum(count[fate] for fate in ("delivered", "lost", "out_of_range", "in_flight"))
+    assert count["bytes"] == 3 * count["sent"]
+
+
+def test_a_payload_must_be_bytes_and_time_must_not_run_back():
+    radio = Radio(CLEAR, seed=0)
+    with pytest.raises(TypeError, match="bytes"):
+        radio.send(Message(0, 0.0, "text"), NEAR)  # type: ignore[arg-type]
+    radio.send(say(b"x", step=3), NEAR)
+    with pytest.raises(ValueError, match="before an earlier message"):
+        radio.send(say(b"x", step=2), NEAR)
+    with pytest.raises(ValueError, match="time must be"):
+        radio.deliver(0, math.nan)
+
+
+def test_the_compiled_air_carries_exactly_what_the_radio_does():
+    config = RadioConfig(loss=0.4, delay=0.2, range=60.0, rate=8 * 10 * 30)
+    radio, link, key = Radio(config, seed=9), link_of(config), stream_key(9, "radio")
+    air, buffer = empty_air(4, link, capacity=64), np.zeros(64, np.uint8)
+    rng = np.random.default_rng(0)
+    for step in range(100):
+        places = rng.uniform(0.0, 80.0, (4, 2))
+        for i in range(4):
+            size = int(rng.integers(0, 40))
+            buffer[:size] = rng.integers(0, 256, size)
+            result = radio.send(say(buffer[:size].tobytes(), i, step), dict(enumerate(places)))
+            assert REASONS[send(air, link, step, i, buffer, size, *places[i])] == (result.reason or "accepted")
+        for receiver in range(4):
+            arrived = []
+            for i in range(4):
+                length = fetch(air, link, step, i, buffer)
+                if fate(air, link, key, step, i, receiver) == REACHES:
+                    arrived.append((i, buffer[:length].tobytes()))
+            assert arrived == [(m.sender, m.payload) for m in radio.deliver(receiver, step * 0.1)]
+
+
+def test_the_air_says_what_became_of_a_message():
+    link, buffer = link_of(RadioConfig(loss=1.0, range=50.0)), np.zeros(9, np.uint8)
+    air, key = empty_air(4, link, capacity=8), stream_key(0, "radio")
+    assert send(air, link, 0, 0, buffer, 8, 0.0, 0.0) == ACCEPTED
+    assert send(air, link, 0, 0, buffer, 8, 0.0, 0.0) == SECOND_MESSAGE
+    assert send(air, link, 0, 1, buffer, 9, 40.0, 0.0) == TOO_LONG
+    assert send(air, link, 0, 2, buffer, 8, 80.0, 0.0) == ACCEPTED
+    assert [fate(air, link, key, 0, 0, i) for i in range(4)] == [NOT_SENT, LOST, OUT_OF_RANGE, OUT_OF_RANGE]
+    assert fate(air, link, key, 0, 1, 0) == NOT_SENT
+    assert [fetch(air, link, 0, i, buffer) for i in range(4)] == [8, -1, 8, -1]
+    assert fetch(air, link, 1, 0, buffer) == -1  # it arrived one step ago

@@ -16,10 +16,11 @@ from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_fr
 from cad_env.types import BRAKE, GO, Floats, Observation
 from cad_env.views import NorthUpViewer, WorldRoad
 
+RENDER_MODES = ("human", "rgb_array")
 _SETUP = ("scenario", "traffic", "sensor", "radio", "depth")
 
 
-class CADEnv(AbstractEnv):  # type: ignore[misc]
+class CADEnv(AbstractEnv):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
@@ -32,12 +33,13 @@ class CADEnv(AbstractEnv):  # type: ignore[misc]
     ((16, 15, 3), True)
     """
 
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}  # noqa: RUF012  Gymnasium's own form
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012  Gymnasium's own form
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {self.metadata['render_modes']}")
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
         check_names("option", options, [*_SETUP, "config", "render_mode"])
+        self.viewer: NorthUpViewer | None = None
         self.observation_space: spaces.Dict = observation_space()
         self.action_space: spaces.Discrete = spaces.Discrete(2)
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
@@ -73,7 +75,9 @@ class CADEnv(AbstractEnv):  # type: ignore[misc]
         """The spaces never change, so that a seeded action space stays seeded."""
         self.observation_type = self.action_type = None
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Draw a scene. Options: `hazard` True or False forces the kind of episode, `config` changes settings."""
         options = options or {}
         check_names("reset option", options, ["hazard", "config"])
@@ -86,7 +90,9 @@ class CADEnv(AbstractEnv):  # type: ignore[misc]
         self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard, receivers=1)
         self.time, self.steps, self.done = 0.0, 0, False
         simulation = self.simulation
-        self.road = WorldRoad(simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected)
+        self.road = WorldRoad(
+            simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected
+        )
         self.controlled_vehicles = [self.road.rows[0]]
         self._progress = float(simulation.world.progress[0])
         self._way = simulation.goal(0) - self._progress

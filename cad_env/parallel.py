@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from cad_env.config import check_names
-from cad_env.env import checked_action
+from cad_env.env import RENDER_MODES, CADEnv, checked_action
 from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
 from cad_env.scenarios import SCENARIOS
@@ -20,18 +21,18 @@ from cad_env.views import NorthUpViewer, WorldRoad
 MAX_AGENTS = 5  # the ego and up to four collaborators
 
 
-class CADParallelEnv(ParallelEnv[str, Observation, int]):  # type: ignore[misc]
+class CADParallelEnv(ParallelEnv[str, Observation, int]):
     """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
 
     A vehicle that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
     Keyword arguments as for CADEnv.
     """
 
-    metadata = {"name": "cad_v0", "render_modes": ["rgb_array", "human"], "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
+    metadata = {"name": "cad_v0", "render_modes": list(RENDER_MODES), "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {self.metadata['render_modes']}")
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
         self.simulation = Simulation(setup_from(options))
         self.render_mode = render_mode
         self.possible_agents = [f"cav_{k}" for k in range(MAX_AGENTS)]
@@ -115,9 +116,24 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):  # type: ignore[misc]
         """The world itself, for a privileged policy."""
         return self.simulation.truth(self._index(agent))
 
-    @property
-    def state(self) -> Any:
-        raise AttributeError("this environment has no global state array: use truth(agent)")
+    def render(self) -> Any:
+        """An image (H, W, 3) uint8 in mode rgb_array; a window in mode human."""
+        if self.render_mode is None:
+            return None
+        simulation = self.simulation
+        road = WorldRoad(simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected)
+        if self._viewer is None:
+            config = {**CADEnv.default_config(), "offscreen_rendering": self.render_mode != "human"}
+            self._viewer = NorthUpViewer(SimpleNamespace(config=config, observation_type=None, action_type=None))
+        self._viewer.env.road, self._viewer.env.vehicle = road, road.rows[0]
+        self._viewer.display()
+        return self._viewer.get_image() if self.render_mode == "rgb_array" else self._viewer.handle_events()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+        self._viewer = None
 
 
 def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> CADParallelEnv:

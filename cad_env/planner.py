@@ -21,7 +21,8 @@ from cad_env.world.geometry import boxes_touch
 from cad_env.world.state import COMMAND_DELAY, OFF, Routes, World
 
 FIT_FRAMES = 6  # newest nodes of a track that its velocity is fitted to
-SLOWEST = 1.5  # m/s, below which a fitted velocity is noise and the vehicle stands
+SLOWEST = 1.5  # m/s, below which a vehicle is taken to stand
+SIGNIFICANT = 3.0 * 0.2  # m: a fitted speed counts if it is three standard errors at 0.2 m of noise from zero
 CROSSING = math.radians(40)  # rad between the ego's heading and another's, above which it is not the same stream
 CAR_SIZE, TRUCK_SIZE = (4.8, 2.0), (12.0, 2.6)  # m, what a track of each class is taken to be
 
@@ -187,6 +188,8 @@ def fit_motion(track: Floats, mask: Ints, odometry: Floats, motion: Floats) -> b
     vx, vy = (weight * sum_tx - sum_t * sum_x) / spread, (weight * sum_ty - sum_t * sum_y) / spread
     motion[0], motion[1] = (sum_x - vx * sum_t) / weight, (sum_y - vy * sum_t) / weight
     motion[2], motion[3] = math.atan2(vy, vx), math.hypot(vx, vy)
+    if motion[3] < SIGNIFICANT / math.sqrt(spread / weight):
+        motion[3] = 0.0  # a young track of a waiting vehicle looks as if it crept
     return True
 
 

@@ -102,9 +102,9 @@ def rollouts(
         for k, run in enumerate(runs):
             if run.over:
                 yield run.episode(contender)
-                seed = next(waiting, None)
-                if seed is not None:
-                    runs[k] = _Run(run.env, seed, hazard)
+                following = next(waiting, None)
+                if following is not None:
+                    runs[k] = _Run(run.env, following, hazard)
         runs = [run for run in runs if not run.over]
 
 

@@ -44,7 +44,7 @@ def row_of(rows: Rows, track: int) -> int:
     rows.used[0] += 1
     rows.track[i] = track
     rows.mask[i] = False
-    return i
+    return int(i)
 
 
 def as_graph(rows: Rows, sender: int, time: float) -> Graph:

@@ -12,10 +12,15 @@ from cad_env.types import Floats
 from cad_env.world.state import OFF, Routes, World
 from cad_env.world.step import substep
 
-EGO_COLOUR, CONNECTED_COLOUR, OTHER_COLOUR, CRASHED_COLOUR = (50, 200, 0), (100, 200, 255), (200, 200, 0), (255, 100, 100)
+EGO_COLOUR, CONNECTED_COLOUR, OTHER_COLOUR, CRASHED_COLOUR = (
+    (50, 200, 0),
+    (100, 200, 255),
+    (200, 200, 0),
+    (255, 100, 100),
+)
 
 
-class RowVehicle(Vehicle):  # type: ignore[misc]
+class RowVehicle(Vehicle):
     """One row of the world under highway-env's names; reading and writing go straight to the arrays."""
 
     def __init__(self, road: "WorldRoad", row: int, colour: tuple[int, int, int]) -> None:
@@ -32,7 +37,8 @@ class RowVehicle(Vehicle):  # type: ignore[misc]
     @property
     def position(self) -> Floats:
         """(2,) m, a live view."""
-        return self.road.world.position[self.row]
+        position: Floats = self.road.world.position[self.row]
+        return position
 
     @position.setter
     def position(self, value: Floats) -> None:
@@ -102,7 +108,7 @@ class RowVehicle(Vehicle):  # type: ignore[misc]
         return self.road.network.get_lane(self.lane_index)
 
 
-class WorldRoad(Road):  # type: ignore[misc]
+class WorldRoad(Road):
     """A highway-env road whose vehicles live in the compiled world."""
 
     def __init__(self, network: RoadNetwork, world: World, routes: Routes, connected: tuple[int, ...]) -> None:
@@ -133,7 +139,7 @@ class WorldRoad(Road):  # type: ignore[misc]
         substep(self.world, self.routes, self.scratch, dt)
 
 
-class NorthUpViewer(EnvViewer):  # type: ignore[misc]
+class NorthUpViewer(EnvViewer):
     """The stock viewer on a picture turned north up: its y axis points down, ours up."""
 
     def display(self) -> None:

@@ -58,7 +58,7 @@ def can_see(world: World, observer: int, target: int, reach: float) -> bool:
 @compiled
 def _hidden(world: World, observer: int, target: int, x0: float, y0: float, x1: float, y1: float) -> bool:
     for k in range(world.heading.shape[0]):
-        if k == observer or k == target or world.driver[k] == OFF:
+        if k in (observer, target) or world.driver[k] == OFF:
             continue
         if box_hides(
             x0, y0, x1, y1, world.position[k, 0], world.position[k, 1],

@@ -58,8 +58,8 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
         empty_rows(receivers, rows=MERGED_ROWS), empty_view(receivers), empty_air(count, link, MAX_BYTES),
         np.zeros((count, vehicles), np.bool_),
         Report(*(np.zeros(n, np.int64) for n in (count, count, receivers, receivers))),
-        empty_rows(), np.zeros((MERGED_ROWS, FRAMES)), np.zeros(3, np.int64), np.zeros((ROWS, 3)), np.zeros(ROWS, np.int8),
-        np.zeros(MAX_BYTES, np.uint8),
+        empty_rows(), np.zeros((MERGED_ROWS, FRAMES)), np.zeros(3, np.int64), np.zeros((ROWS, 3)),
+        np.zeros(ROWS, np.int8), np.zeros(MAX_BYTES, np.uint8),
     )  # fmt: skip
 
 

@@ -52,13 +52,13 @@ def empty_tracks(*lead: int) -> Tracks:
 @compiled
 def confirmed(tracks: Tracks, row: int) -> bool:
     """True for a track that has been seen often enough to count."""
-    return tracks.hits[row] >= BIRTH_HITS
+    return bool(tracks.hits[row] >= BIRTH_HITS)
 
 
 @compiled
 def seen_now(tracks: Tracks, row: int) -> bool:
     """True for a track that matched a detection of the newest frame."""
-    return tracks.misses[row] == 0
+    return bool(tracks.misses[row] == 0)
 
 
 @compiled

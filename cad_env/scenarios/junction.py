@@ -58,18 +58,20 @@ def _quarter_turn(quarter: int) -> Floats:
 def left_plan(arm: str) -> RoutePlan:
     """From the left-turn lane of an arm into the inner lane of the road to its left."""
     leftward = ARMS[(ARMS.index(arm) - 1) % 4]
-    return RoutePlan(
-        f"{arm}_left",
-        ((f"{arm}_far", f"{arm}_line", LEFT), (f"{arm}_line", f"{leftward}_out", 0), (f"{leftward}_out", f"{leftward}_end", LEFT)),
-        (Command.FOLLOW_LANE, Command.TURN_LEFT, Command.FOLLOW_LANE),
-    )  # fmt: skip
+    return _plan(f"{arm}_left", arm, leftward, LEFT, 0, Command.TURN_LEFT)
 
 
 def through_plan(arm: str) -> RoutePlan:
     """From the through lane of an arm straight across."""
     across = ARMS[(ARMS.index(arm) + 2) % 4]
-    return RoutePlan(
-        f"{arm}_through",
-        ((f"{arm}_far", f"{arm}_line", THROUGH), (f"{arm}_line", f"{across}_out", THROUGH), (f"{across}_out", f"{across}_end", THROUGH)),
-        (Command.FOLLOW_LANE, Command.GO_STRAIGHT, Command.FOLLOW_LANE),
-    )  # fmt: skip
+    return _plan(f"{arm}_through", arm, across, THROUGH, THROUGH, Command.GO_STRAIGHT)
+
+
+def _plan(name: str, arm: str, exit_arm: str, lane: int, crossing: int, command: Command) -> RoutePlan:
+    """In on `lane`, over the junction on its lane number `crossing`, and out on `lane` again."""
+    lanes = (
+        (f"{arm}_far", f"{arm}_line", lane),
+        (f"{arm}_line", f"{exit_arm}_out", crossing),
+        (f"{exit_arm}_out", f"{exit_arm}_end", lane),
+    )
+    return RoutePlan(name, lanes, (Command.FOLLOW_LANE, command, Command.FOLLOW_LANE))

@@ -3,9 +3,11 @@
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import TypedDict
 
 import numpy as np
 
+from cad_env.compiled import compiled
 from cad_env.config import check_range
 from cad_env.scenarios.junction import ARM, STOP_LINE, TURN_RADIUS, junction_network, left_plan, through_plan
 from cad_env.scenarios.scene import Map, Placement, Range, Scenario, Scene, check_span
@@ -24,13 +26,13 @@ class LeftTurnConfig:
     hazard_share: float = 0.5  # share of episodes with a hazard
     ego_speed: Range = (7.0, 9.0)  # m/s it wants to turn at
     ego_start: Range = (26.0, 40.0)  # m before its stop line
-    collider_speed: Range = (12.0, 18.0)  # m/s of the vehicle in the hidden lane
+    collider_speed: Range = (14.0, 19.5)  # m/s of the vehicle in the hidden lane
     hazard_timing: Range = (-0.3, 0.3)  # s it reaches the conflict point after an ego that does not brake
     early: Range = (4.0, 7.0)  # s before the ego, when it passes clearly before
     late: Range = (3.0, 6.0)  # s after the ego, when it passes clearly after
     truck_length: Range = (8.0, 14.0)  # m
     truck_width: Range = (2.3, 2.6)  # m
-    truck_front: Range = (8.0, 11.0)  # m from the junction's centre to its front
+    truck_front: Range = (7.0, 9.5)  # m from the junction's centre to its front
     truck_yaw: Range = (0.0, 0.15)  # rad, its nose already turned to its left
     others: tuple[int, int] = (4, 10)  # further vehicles, driving by IDM
     collaborators: tuple[int, int] = (2, 4)  # connected vehicles besides the ego
@@ -60,6 +62,7 @@ def _conflict() -> tuple[float, float]:
     return sample * routes.spacing, ARM - float(routes.point[ego, sample, 1])
 
 
+@compiled
 def unbraked_time(speed: float, target_speed: float, distance: float) -> float:
     """Seconds an undisturbed IDM driver takes for a distance."""
     time, travelled, dt = 0.0, 0.0, STEP / 2
@@ -113,14 +116,14 @@ def _collider(
     """The vehicle in the hidden lane: meets an unbraked ego, passes clearly before or after it, or is absent."""
     story = rng.integers(3)
     timing = rng.uniform(*config.hazard_timing), -rng.uniform(*config.early), rng.uniform(*config.late)
-    length, width = rng.uniform(4.2, 5.2), rng.uniform(1.8, 2.0)
+    body = _body(rng)
     if not hazard and story == 0:
         return None
     ego_conflict, hidden_conflict = _conflict()
     meet = unbraked_time(ego.speed, ego.target_speed, ego_conflict - ego.progress)
     arrival = meet + (timing[0] if hazard else timing[story])
     progress = max(hidden_conflict - speed * arrival, 1.0)
-    return Placement(junction.route("north_through"), progress, speed, speed, SCRIPTED, CAR, length, width)
+    return Placement(junction.route("north_through"), progress, speed, speed, SCRIPTED, CAR, **body)
 
 
 def _others(
@@ -153,7 +156,13 @@ def _others(
     return chosen, witnesses
 
 
-def _body(rng: np.random.Generator) -> dict[str, float]:
+class _Body(TypedDict):
+    length: float  # m
+    width: float  # m
+
+
+def _body(rng: np.random.Generator) -> _Body:
+    """A passenger car's."""
     return {"length": rng.uniform(4.2, 5.2), "width": rng.uniform(1.8, 2.0)}
 
 
@@ -187,8 +196,14 @@ LEFT_TURN = Scenario(
     config=LeftTurnConfig,
     network=junction_network,
     plans=(
-        left_plan("south"), through_plan("south"), through_plan("north"), left_plan("north"),
-        left_plan("west"), through_plan("west"), left_plan("east"), through_plan("east"),
-    ),  # fmt: skip
+        left_plan("south"),
+        through_plan("south"),
+        through_plan("north"),
+        left_plan("north"),
+        left_plan("west"),
+        through_plan("west"),
+        left_plan("east"),
+        through_plan("east"),
+    ),
     draw=draw,
 )

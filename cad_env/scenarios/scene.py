@@ -82,7 +82,7 @@ class Scenario:
         return self.config(**overrides)
 
     def scene(self, config: Any, seed: int, hazard: bool | None = None) -> Scene:
-        """The scene of an episode seed. A forced hazard changes the kind of episode, not the stream it is drawn from."""
+        """The scene of an episode seed; `hazard` forces its kind, and leaves the rest of the traffic as it is drawn."""
         rng = generator(seed, "traffic")
         drawn = bool(rng.random() < config.hazard_share)
         return self.draw(self.map, config, rng, drawn if hazard is None else hazard)

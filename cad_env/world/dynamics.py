@@ -24,7 +24,7 @@ def heading_at(routes: Routes, route: int, progress: float) -> float:
     index = min(max(int(step), 0), last)
     share = min(max(step - index, 0.0), 1.0)
     before, after = routes.heading[route, index], routes.heading[route, index + 1]
-    return before + share * (after - before)
+    return float(before + share * (after - before))
 
 
 @compiled

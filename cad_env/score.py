@@ -1,0 +1,210 @@
+"""Records of episodes -> Scorecards: pure functions. A rate never comes without its interval.
+
+Intervals are Wilson's, 95 %: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
+Journal of the American Statistical Association 22 (1927).
+"""
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+
+from scipy.stats import binomtest
+
+OUTCOMES = ("success", "collision", "timeout")
+KINDS = ("all", "yes", "no")
+
+
+@dataclass(frozen=True)
+class Record:
+    """One episode in one line of `episodes.jsonl`; the word None below is JSON's null.
+
+    >>> line = Record("left_turn", "expert", 7, True, "success", 9.5, 31, 283.5, 302, 380, 19, 107730, None).line()
+    >>> parse_record(line).bytes_per_message_max
+    302
+    >>> parse_record('{"scenario": "left_turn"}')
+    Traceback (most recent call last):
+    ValueError: an episode's record must have the keys scenario, contender, seed, hazard, outcome, time, brakes,
+    bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc
+    """
+
+    scenario: str
+    contender: str
+    seed: int
+    hazard: bool
+    outcome: str
+    time: float  # s until the outcome
+    brakes: int  # decisions to brake
+    bytes_per_message_mean: float | None  # over all connected vehicles, None if nothing was sent
+    bytes_per_message_max: int | None  # of the messages that had been sent when the ego decided for the last time
+    messages_sent: int  # by all connected vehicles
+    messages_lost: int  # on their way to the ego
+    bytes_total: int  # sent by all connected vehicles
+    min_ttc: float | None  # s, None if nothing was on a collision course
+
+    def __post_init__(self) -> None:
+        for name, valid in self._fields_valid().items():
+            if not valid:
+                raise ValueError(f"an episode's record cannot have {name} {getattr(self, name)!r}")
+
+    def _fields_valid(self) -> dict[str, bool]:
+        counts = ("seed", "brakes", "messages_sent", "messages_lost", "bytes_total")
+        return {
+            "scenario": isinstance(self.scenario, str),
+            "contender": isinstance(self.contender, str),
+            **{name: _is_count(getattr(self, name)) for name in counts},
+            "hazard": isinstance(self.hazard, bool),
+            "outcome": self.outcome in OUTCOMES,
+            "time": _is_amount(self.time),
+            "bytes_per_message_mean": self.bytes_per_message_mean is None or _is_amount(self.bytes_per_message_mean),
+            "bytes_per_message_max": self.bytes_per_message_max is None or _is_count(self.bytes_per_message_max),
+            "min_ttc": self.min_ttc is None or _is_amount(self.min_ttc),
+        }
+
+    def line(self) -> str:
+        """JSON in one line, without its end."""
+        return json.dumps(asdict(self), allow_nan=False)
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and value >= 0
+
+
+def _is_amount(value: object) -> bool:
+    return type(value) in (int, float) and 0.0 <= value < math.inf  # type: ignore[operator]
+
+
+_RECORD_KEYS = [field.name for field in fields(Record)]
+
+
+def parse_record(line: str) -> Record:
+    """The record in a line; ValueError, one line, if it is anything but what `Record.line` writes."""
+    try:
+        values = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"not JSON: {error}") from None
+    if not isinstance(values, dict) or set(values) != set(_RECORD_KEYS):
+        raise ValueError(f"an episode's record must have the keys {', '.join(_RECORD_KEYS)}")
+    return Record(**values)
+
+
+def wilson(count: int, of: int) -> tuple[float, float]:
+    """The 95 % Wilson interval of a rate.
+
+    >>> low, high = wilson(50, 500)
+    >>> round(low, 4), round(high, 4)
+    (0.0767, 0.1293)
+    """
+    interval = binomtest(count, of).proportion_ci(confidence_level=0.95, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+@dataclass(frozen=True)
+class Scorecard:
+    """How a contender did in a scenario: one row of the table. Rates are shares of `episodes`."""
+
+    scenario: str
+    contender: str
+    hazard: str  # which episodes count: all, those with a hazard (yes), those without (no)
+    episodes: int
+    collisions: int
+    collision_rate: float
+    collision_low: float
+    collision_high: float
+    successes: int
+    success_rate: float
+    success_low: float
+    success_high: float
+    timeouts: int
+    mean_time: float  # s until the outcome, over all episodes
+    mean_time_success: float | None  # s, over the successes
+    needless_brakes: float | None  # share of episodes in which it braked at all; only where there is no hazard
+    needless_low: float | None
+    needless_high: float | None
+    bytes_per_message_mean: float | None  # over all messages of all episodes; None if none was sent
+    bytes_per_message_max: int | None
+    bytes_per_second: float  # by all connected vehicles together
+    messages_sent: int
+    messages_lost: int  # on their way to the ego
+    min_ttc: float | None  # s, the smallest of all episodes
+
+
+def scorecards(records: Iterable[Record]) -> list[Scorecard]:
+    """Rows for all episodes, those with a hazard and those without, as far as there are any.
+
+    Scenarios and contenders come in the order of their first record.
+    """
+    groups: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        groups.setdefault((record.scenario, record.contender), []).append(record)
+    return [
+        scorecard(kind, chosen)
+        for group in groups.values()
+        for kind in KINDS
+        if (chosen := [record for record in group if kind == "all" or record.hazard == (kind == "yes")])
+    ]
+
+
+def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
+    """The row of at least one record, all of one scenario and contender."""
+    episodes = len(records)
+    count = {outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES}
+    braked = sum(record.brakes > 0 for record in records)
+    needless = (braked / episodes, *wilson(braked, episodes)) if kind == "no" else (None, None, None)
+    messages = sum(record.messages_sent for record in records)
+    total = sum(record.bytes_total for record in records)
+    time = math.fsum(record.time for record in records)
+    return Scorecard(
+        records[0].scenario, records[0].contender, kind, episodes,
+        count["collision"], count["collision"] / episodes, *wilson(count["collision"], episodes),
+        count["success"], count["success"] / episodes, *wilson(count["success"], episodes),
+        count["timeout"], time / episodes, _mean([record.time for record in records if record.outcome == "success"]),
+        *needless,
+        total / messages if messages else None,
+        max((record.bytes_per_message_max for record in records if record.bytes_per_message_max), default=None),
+        total / time if time else 0.0, messages, sum(record.messages_lost for record in records),
+        min((record.min_ttc for record in records if record.min_ttc is not None), default=None),
+    )  # fmt: skip
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return math.fsum(values) / len(values) if values else None
+
+
+_TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
+           "time s", "needless brakes %", "bytes/message", "max")  # fmt: skip
+
+
+def table(rows: Sequence[Scorecard]) -> str:
+    """The rows as text: rates in per cent with their interval, a dash where there is nothing to say."""
+    cells = [_TITLES, *(_cells(row) for row in rows)]
+    widths = [max(len(line[k]) for line in cells) for k in range(len(_TITLES))]
+    lines = ["  ".join(_aligned(k, cell, widths[k]) for k, cell in enumerate(line)).rstrip() for line in cells]
+    rule = "-" * max(len(line) for line in lines)
+    return "\n".join([lines[0], rule, *lines[1:]])
+
+
+def _aligned(column: int, cell: str, width: int) -> str:
+    return cell.ljust(width) if column < 3 else cell.rjust(width)
+
+
+def _cells(row: Scorecard) -> tuple[str, ...]:
+    return (
+        row.scenario, row.contender, row.hazard, str(row.episodes),
+        _percent(row.collision_rate, row.collision_low, row.collision_high),
+        _percent(row.success_rate, row.success_low, row.success_high),
+        str(row.timeouts), f"{row.mean_time:.1f}",
+        _percent(row.needless_brakes, row.needless_low, row.needless_high),
+        "-" if row.bytes_per_message_mean is None else f"{row.bytes_per_message_mean:.0f}",
+        "-" if row.bytes_per_message_max is None else str(row.bytes_per_message_max),
+    )  # fmt: skip
+
+
+def _percent(rate: float | None, low: float | None, high: float | None) -> str:
+    """
+    >>> _percent(0.1, 0.0767, 0.1293)
+    '10.0 [ 7.7, 12.9]'
+    """
+    if rate is None or low is None or high is None:
+        return "-"
+    return f"{100 * rate:.1f} [{100 * low:4.1f},{100 * high:5.1f}]"

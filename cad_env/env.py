@@ -40,8 +40,6 @@ class CADEnv(AbstractEnv):
             raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
         check_names("option", options, [*_SETUP, "config", "render_mode"])
         self.viewer: NorthUpViewer | None = None
-        self.observation_space: spaces.Dict = observation_space()
-        self.action_space: spaces.Discrete = spaces.Discrete(2)
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
 
     @classmethod
@@ -72,8 +70,10 @@ class CADEnv(AbstractEnv):
         self.simulation = Simulation(setup_from({k: v for k, v in self.config.items() if k in _SETUP}))
 
     def define_spaces(self) -> None:
-        """The spaces never change, so that a seeded action space stays seeded."""
+        """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""
         self.observation_type = self.action_type = None
+        self.observation_space: spaces.Dict = observation_space()
+        self.action_space: spaces.Discrete = spaces.Discrete(2)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

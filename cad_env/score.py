@@ -150,14 +150,14 @@ def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
     episodes = len(records)
     count = {outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES}
     braked = sum(record.brakes > 0 for record in records)
-    needless = (braked / episodes, *wilson(braked, episodes)) if kind == "no" else (None, None, None)
+    needless: _Interval = _rate(braked, episodes) if kind == "no" else (None, None, None)
     messages = sum(record.messages_sent for record in records)
     total = sum(record.bytes_total for record in records)
     time = math.fsum(record.time for record in records)
     return Scorecard(
         records[0].scenario, records[0].contender, kind, episodes,
-        count["collision"], count["collision"] / episodes, *wilson(count["collision"], episodes),
-        count["success"], count["success"] / episodes, *wilson(count["success"], episodes),
+        count["collision"], *_rate(count["collision"], episodes),
+        count["success"], *_rate(count["success"], episodes),
         count["timeout"], time / episodes, _mean([record.time for record in records if record.outcome == "success"]),
         *needless,
         total / messages if messages else None,
@@ -167,9 +167,15 @@ def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
     )  # fmt: skip
 
 
+def _rate(count: int, of: int) -> tuple[float, float, float]:
+    return (count / of, *wilson(count, of))
+
+
 def _mean(values: Sequence[float]) -> float | None:
     return math.fsum(values) / len(values) if values else None
 
+
+_Interval = tuple[float | None, float | None, float | None]
 
 _TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
            "time s", "needless brakes %", "bytes/message", "max")  # fmt: skip

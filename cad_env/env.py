@@ -81,9 +81,7 @@ class CADEnv(AbstractEnv):
         """Draw a scene. Options: `hazard` True or False forces the kind of episode, `config` changes settings."""
         options = options or {}
         check_names("reset option", options, ["hazard", "config"])
-        hazard = options.get("hazard")
-        if hazard not in (None, True, False):
-            raise ValueError(f"hazard must be True, False or None, got {hazard!r}")
+        hazard = checked_hazard(options.get("hazard"))
         gym.Env.reset(self, seed=seed)
         if "config" in options:
             self.configure(options["config"])
@@ -158,6 +156,13 @@ class CADEnv(AbstractEnv):
     def close(self) -> None:
         """Close the window, if there is one. The environment can be reset again."""
         super().close()
+
+
+def checked_hazard(hazard: Any) -> bool | None:
+    """The reset option that forces the kind of an episode, or None to draw it; ValueError for anything else."""
+    if hazard is not None and not isinstance(hazard, bool):
+        raise ValueError(f"hazard must be True, False or None, got {hazard!r}")
+    return hazard
 
 
 def checked_action(action: Any) -> int:

@@ -9,8 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from cad_env.config import check_names
-from cad_env.env import RENDER_MODES, CADEnv, checked_action
+from cad_env.env import RENDER_MODES, CADEnv, checked_action, checked_hazard
 from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
 from cad_env.scenarios import SCENARIOS
@@ -53,12 +52,11 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Draw a scene; option `hazard` True or False forces the kind of episode."""
-        options = dict(options or {})
-        check_names("reset option", options, ["hazard"])
+        """Draw a scene; option `hazard` True or False forces the kind of episode, others are PettingZoo's to pass."""
+        hazard = checked_hazard((options or {}).get("hazard"))
         if seed is not None:
             self.np_random = np.random.default_rng(seed)
-        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, options.get("hazard"))
+        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard)
         self.agents = self.possible_agents[: len(self.simulation.agents)]
         rows = self.simulation.agents
         self._progress = self.simulation.world.progress[rows].copy()

@@ -17,14 +17,14 @@ from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_fr
 from cad_env.types import GO, Observation
 from cad_env.views import NorthUpViewer, WorldRoad
 
-MAX_AGENTS = 5  # the ego and up to four collaborators
+COLLABORATORS = (3, 3)  # a fixed number unless asked otherwise: many multi-agent libraries want fixed agents
 
 
 class CADParallelEnv(ParallelEnv[str, Observation, int]):
     """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
 
     A vehicle that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
-    Keyword arguments as for CADEnv.
+    Keyword arguments as for CADEnv; there are three collaborators unless `traffic` says otherwise.
     """
 
     metadata = {"name": "cad_v0", "render_modes": list(RENDER_MODES), "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
@@ -32,9 +32,10 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
-        self.simulation = Simulation(setup_from(options))
+        traffic = {"collaborators": COLLABORATORS, **dict(options.pop("traffic", None) or {})}
+        self.simulation = Simulation(setup_from({**options, "traffic": traffic}))
         self.render_mode = render_mode
-        self.possible_agents = [f"cav_{k}" for k in range(MAX_AGENTS)]
+        self.possible_agents = [f"cav_{k}" for k in range(1 + self.simulation.traffic.collaborators[1])]
         self.agents: list[str] = []
         self.np_random = np.random.default_rng()
         self._viewer: NorthUpViewer | None = None

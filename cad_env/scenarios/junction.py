@@ -25,7 +25,8 @@ def junction_network() -> RoadNetwork:
         across, leftward = ARMS[(quarter + 2) % 4], ARMS[(quarter - 1) % 4]
         for lane in (LEFT, THROUGH):
             x = LANE * (lane + 0.5)
-            lines = [solid, dashed] if lane == LEFT else [none, solid]
+            # highway-env paints the side of its negative lateral axis first: in our axes that is the right.
+            lines = [dashed, solid] if lane == LEFT else [solid, none]
             network.add_lane(
                 f"{arm}_far", f"{arm}_line", StraightLane(turn @ [x, -ARM], turn @ [x, -STOP_LINE], LANE, lines)
             )

@@ -1,0 +1,118 @@
+"""Training: batches are balanced, the loss falls, and a course that was stopped goes on as if it had not been."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from cad_env.env import CADEnv
+from cad_env.planner import Expert
+from cad_env.types import BRAKE
+from policies.cloning import Recipe, Worth, balanced, fit, load_state, save_state
+from policies.demonstrations import Frames, record
+from policies.saved import load_model
+from policies.stgraph import StGraphNet
+from policies.training import Course, train
+
+TINY = Course(
+    episodes=6, corrections=1, corrected_episodes=2, steps=8, segments=2, validation=2, final_validation=2,
+    recipe=Recipe(batch=16),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> Frames:
+    return record(tmp_path_factory.mktemp("frames"), CADEnv, Expert(), range(6), lambda n: None)
+
+
+def test_a_third_of_every_batch_brakes() -> None:
+    labels = np.array([BRAKE] * 5 + [0] * 95)
+    batches = balanced(labels, 30, 0.3, np.random.default_rng(0))
+    for _ in range(20):
+        assert (labels[next(batches)] == BRAKE).sum() == 9
+
+
+def test_frames_of_one_kind_cannot_be_balanced() -> None:
+    with pytest.raises(ValueError, match="both kinds"):
+        next(balanced(np.zeros(10), 4, 0.5, np.random.default_rng(0)))
+
+
+def test_the_loss_falls(frames: Frames) -> None:
+    network = StGraphNet(seed=0)
+    optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
+    rng, recipe = np.random.default_rng(0), Recipe(batch=32, learning_rate=1e-2)
+    first = fit(network, optimiser, frames, recipe, range(5), 60, rng, lambda n: None)
+    fit(network, optimiser, frames, recipe, range(5, 55), 60, rng, lambda n: None)
+    last = fit(network, optimiser, frames, recipe, range(55, 60), 60, rng, lambda n: None)
+    assert last < 0.9 * first
+
+
+def test_fewer_failures_are_worth_more_and_then_less_time() -> None:
+    assert Worth(1, 20.0) < Worth(2, 10.0)
+    assert Worth(1, 10.0) < Worth(1, 20.0)
+
+
+def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: Frames, tmp_path: Path) -> None:
+    def weights(stop: bool) -> torch.Tensor:
+        network = StGraphNet(seed=0)
+        optimiser = torch.optim.Adam(network.parameters())
+        for part in range(2):
+            if stop and part:
+                save_state(tmp_path / "state.safetensors", network, optimiser)
+                network = StGraphNet(seed=5)
+                optimiser = torch.optim.Adam(network.parameters())
+                load_state(tmp_path / "state.safetensors", network, optimiser)
+            rng = np.random.default_rng(part)
+            fit(network, optimiser, frames, Recipe(batch=16), range(3 * part, 3 * part + 3), 6, rng, lambda n: None)
+        return torch.cat([value.flatten() for value in network.state_dict().values()])
+
+    torch.testing.assert_close(weights(stop=True), weights(stop=False), rtol=0, atol=0)
+
+
+class StoppedError(Exception):
+    """As good as a Ctrl-C."""
+
+
+def test_a_course_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> None:
+    told: list[float] = []
+    train(TINY, tmp_path / "whole", told.append)
+    assert sum(told) == pytest.approx(TINY.work())
+    whole = load_model(tmp_path / "whole")
+    for stop_at in (0.2, 0.5, 0.9):
+        done = 0.0
+
+        def advance(work: float, limit: float = stop_at * TINY.work()) -> None:
+            nonlocal done
+            done += work
+            if done > limit:
+                raise StoppedError
+
+        with pytest.raises(StoppedError):
+            train(TINY, tmp_path / "stopped", advance)
+    train(TINY, tmp_path / "stopped", lambda work: None)
+    stopped = load_model(tmp_path / "stopped")
+    assert stopped.threshold == whole.threshold
+    for name, value in whole.network.state_dict().items():
+        torch.testing.assert_close(stopped.network.state_dict()[name], value, rtol=0, atol=0)
+    assert (tmp_path / "stopped/metrics.csv").read_text() == (tmp_path / "whole/metrics.csv").read_text()
+
+
+def test_metrics_have_a_row_for_every_checkpoint_and_survive_a_torn_line(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    train(TINY, folder, lambda work: None)
+    with (folder / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(float(row["round"]), float(row["segment"])) for row in rows] == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    before = (folder / "metrics.csv").read_text()
+    (folder / "metrics.csv").write_text(before[:-9])
+    (folder / "config.json").unlink()
+    train(TINY, folder, lambda work: None)
+    assert (folder / "metrics.csv").read_text().count("\n") == before.count("\n")
+
+
+@pytest.mark.parametrize(("name", "value"), [("episodes", 0), ("steps", 1), ("corrections", -1), ("radio", "dsrk")])
+def test_an_impossible_course_is_refused_with_the_name_and_the_value(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"{name}.*{value}"):
+        Course(**{name: value})  # type: ignore[arg-type]

@@ -17,7 +17,7 @@ from cad_env.types import ROWS, STEP, Bools, Floats, Ints
 GATE = 3.0  # m; 18 m/s is 1.8 m a frame, so a newborn track of unknown velocity still finds its next detection
 BIRTH_HITS = 3  # detections before a track counts
 TENTATIVE_MISSES = 1  # misses in a row that end a track before it counts ...
-MAX_MISSES = 5  # ... and after
+MAX_MISSES = 10  # ... and after: 1 s, about what a passing vehicle hides another for
 MANOEUVRE = 4.0  # m/s2, standard deviation of the acceleration between frames
 FIRST_SPEED = 15.0  # m/s, standard deviation of an unknown velocity
 LEAST_NOISE = 0.05  # m, so that perfect sensors leave the filter well posed

@@ -93,7 +93,7 @@ def wilson(count: int, of: int) -> tuple[float, float]:
 
     >>> low, high = wilson(50, 500)
     >>> round(low, 4), round(high, 4)
-    (0.0767, 0.1293)
+    (0.0767, 0.1294)
     """
     interval = binomtest(count, of).proportion_ci(confidence_level=0.95, method="wilson")
     return float(interval.low), float(interval.high)

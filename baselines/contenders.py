@@ -1,0 +1,79 @@
+"""name -> (what is shared, who decides): the rows of the results table."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from cad_env.planner import Expert, Planner
+from cad_env.types import BRAKE, GO, Policy
+
+MODEL_FILES = ("model.safetensors", "config.json")
+
+
+@dataclass
+class Always:
+    """The same decision whatever it sees."""
+
+    action: int
+    privileged: bool = False
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Any) -> int:
+        """The decision it was made with."""
+        return self.action
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One row of the results table."""
+
+    name: str
+    shares: bool  # False: nothing is sent, whatever the radio could carry
+    make_policy: Callable[[Path], Policy]  # from the folder of trained models
+    model: str | None = None  # the folder in there that it needs
+
+
+def _learned(name: str, shares: bool, model: str) -> Contender:
+    def load(models: Path) -> Policy:
+        folder = models / model
+        if not folder.is_dir():
+            raise ValueError(f"no trained model for {name}: there is no folder {folder}")
+        from policies.driver import LearnedPolicy  # here, because torch takes a second that the others need not wait
+
+        return LearnedPolicy.load(folder)
+
+    return Contender(name, shares, load, model)
+
+
+CONTENDERS: Mapping[str, Contender] = MappingProxyType(
+    {
+        contender.name: contender
+        for contender in (
+            Contender("always-go", False, lambda _: Always(GO)),
+            Contender("always-brake", False, lambda _: Always(BRAKE)),
+            Contender("planner-own", False, lambda _: Planner()),
+            Contender("planner-shared", True, lambda _: Planner()),
+            Contender("expert", False, lambda _: Expert()),
+            _learned("stgraph", True, "shared"),
+            _learned("stgraph-own", False, "own"),
+        )
+    }
+)
+
+
+def contender_named(name: str) -> Contender:
+    """The contender called `name`; ValueError that lists the choices otherwise."""
+    if name not in CONTENDERS:
+        raise ValueError(f"unknown contender {name!r}: choose among {', '.join(CONTENDERS)}")
+    return CONTENDERS[name]
+
+
+def shipped_models(scenario: str) -> Path:
+    """Where the package keeps the models trained for a scenario: `shared` and `own` in one folder."""
+    import policies
+
+    return Path(policies.__path__[0]) / "weights" / scenario

@@ -1,0 +1,80 @@
+"""Processes that work for this one: they leave Ctrl-C to it, and none outlives it, however it ends."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.queues import Queue
+
+_told: "Queue[float] | None" = None  # in a worker: where `tell` puts what it is told
+
+
+@contextmanager
+def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[float]]]":
+    """So many processes, and the queue of what their tasks `tell`; tasks under way are dropped on an exception.
+
+    A task must be a function of a module, as for any spawned process.
+    """
+    prefer_one_thread()
+    context = multiprocessing.get_context("spawn")
+    lifeline, held = context.Pipe(duplex=False)
+    told: Queue[float] = context.Queue()
+    pool = ProcessPoolExecutor(count, context, _start, (lifeline, told))
+    try:
+        with _interrupts_held():
+            for _ in range(count):
+                pool.submit(int)  # nothing to do, but it starts a process
+        yield pool, told
+    except BaseException:
+        held.close()  # the workers stop at once, in the middle of a task
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+        held.close()
+        lifeline.close()
+
+
+def prefer_one_thread() -> None:
+    """One thread for numerics, here if torch is yet to be imported, and in processes to come; the user's wish wins.
+
+    The networks are small: a second thread waits more than it works.
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def tell(work: float) -> None:
+    """Called by a task: report progress to the process that it works for."""
+    if _told is not None:
+        _told.put(work)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """A process started in here never sees Ctrl-C; here, one that is pressed meanwhile comes afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows: a worker ignores it once it has started
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _start(lifeline: Connection, told: "Queue[float]") -> None:
+    global _told
+    _told = told
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+
+
+def _end_with(lifeline: Connection) -> None:
+    """Nothing ever comes down the lifeline but its end, when the parent lets go of it or dies."""
+    try:
+        lifeline.recv()
+    except (EOFError, OSError):
+        os._exit(1)

@@ -1,0 +1,94 @@
+"""Score contenders in closed loop, on the same seeds, and print the table with its intervals.
+
+python evaluate.py --contender always-go expert stgraph --episodes 500 --jobs 2 --out results/left_turn
+"""
+
+import contextlib
+import io
+import re
+import sys
+from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
+from itertools import groupby
+from typing import TypeVar
+
+import tyro
+
+from baselines.settings import Settings
+
+INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
+Parsed = TypeVar("Parsed")
+
+
+def parsed(kind: type[Parsed], argv: Sequence[str] | None) -> Parsed:
+    """A record from the command line; ValueError, one line, for what it does not take. `--help` exits."""
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            return tyro.cli(kind, args=argv)
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        raise ValueError(_first_part(box.getvalue(), kind.__name__)) from None
+
+
+def _first_part(box: str, kind: str) -> str:
+    """tyro's message without the frame around it, the title above and the advice below, each behind a rule."""
+    lines = [line.strip("│ ") for line in box.splitlines()[1:]]
+    parts = [list(part) for said, part in groupby(lines, lambda line: bool(re.search(r"\w", line))) if said]
+    return " ".join(parts[0]).removeprefix(f"Error parsing {kind}: ") if parts else box
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    try:
+        settings = parsed(Settings, argv)
+    except ValueError as error:
+        return refused(error)
+    except KeyboardInterrupt as error:
+        return stopped(error)
+    return scored(settings)
+
+
+def scored(settings: Settings) -> int:
+    """Score, print the table, and return the exit code; whatever stops it becomes one line on standard error."""
+    try:
+        from baselines.scoring import completed, opened  # here, so that --help is quick
+        from cad_env.score import table
+
+        store = opened(settings)
+    except (ValueError, OSError) as error:
+        return refused(error)
+    except KeyboardInterrupt as error:
+        return stopped(error)
+    try:
+        rows = completed(settings, store)
+    except OSError as error:
+        return refused(error)
+    except (KeyboardInterrupt, BrokenExecutor) as error:
+        total = len(settings.contender) * settings.episodes
+        return stopped(error, f" after {len(store.records)} of {total} episodes")
+    print(table(rows))
+    print(f"The episodes and the scores are in {settings.folder()}.")
+    return 0
+
+
+def stopped(error: BaseException, where: str = "") -> int:
+    """Say in one line how to go on with a command that was interrupted or lost a process; its exit code."""
+    interrupted = isinstance(error, KeyboardInterrupt)
+    how = "stopped" if interrupted else "error: a worker process died"
+    print(f"{how}{where}; the same command goes on from there", file=sys.stderr)
+    return INTERRUPTED if interrupted else 1
+
+
+def refused(error: Exception) -> int:
+    """Say in one line why a command is not carried out; its exit code."""
+    reason = str(error)
+    if isinstance(error, OSError) and error.filename is not None:
+        reason = f"{error.filename}: {error.strerror}"
+    print("error:", " ".join(reason.split()), file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

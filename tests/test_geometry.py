@@ -1,0 +1,71 @@
+"""Oriented boxes against shapely: do two touch, does one hide a point."""
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cad_env.world.geometry import box_hides, boxes_touch
+
+shapely = pytest.importorskip("shapely")
+
+NEARLY = 1e-6  # m, below which the two may disagree on what touches
+place = st.floats(-15.0, 15.0)
+boxes = st.tuples(place, place, st.floats(-10.0, 10.0), st.floats(0.5, 18.0), st.floats(0.5, 3.0))
+points = st.tuples(place, place)
+
+
+def polygon(x: float, y: float, heading: float, length: float, width: float):
+    cos, sin = math.cos(heading), math.sin(heading)
+    corners = [(a * length / 2, b * width / 2) for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+    return shapely.Polygon([(x + a * cos - b * sin, y + a * sin + b * cos) for a, b in corners])
+
+
+@settings(max_examples=1000)
+@given(boxes, boxes)
+def test_two_boxes_touch_when_shapely_says_so(a, b):
+    one, other = polygon(*a), polygon(*b)
+    if one.distance(other) > NEARLY:
+        assert not boxes_touch(*a, *b)
+    elif one.buffer(-NEARLY).intersects(other):
+        assert boxes_touch(*a, *b)
+
+
+@settings(max_examples=1000)
+@given(points, points, boxes)
+def test_a_box_hides_a_point_when_shapely_says_so(eye, target, box):
+    line, body = shapely.LineString([eye, target]), polygon(*box)
+    if line.distance(body) > NEARLY:
+        assert not box_hides(*eye, *target, *box)
+    elif line.intersects(body.buffer(-NEARLY)):
+        assert box_hides(*eye, *target, *box)
+
+
+def test_the_oracle_sees_both_answers_often():
+    # Otherwise the two tests above could pass on boxes that never meet.
+    car = (0.0, 0.0, 0.0, 4.8, 1.9)
+    grid = [(0.5 * i, 0.5 * j, 0.1 * (i + j)) for i in range(-12, 13) for j in range(-12, 13)]
+    touching = sum(boxes_touch(*car, x, y, heading, 12.0, 2.5) for x, y, heading in grid)
+    hiding = sum(box_hides(-10.0, 0.5, 10.0, -0.5, x, y, heading, 12.0, 2.5) for x, y, heading in grid)
+    for count in (touching, hiding):
+        assert len(grid) / 10 < count < 9 * len(grid) / 10
+    assert touching == sum(polygon(*car).intersects(polygon(x, y, h, 12.0, 2.5)) for x, y, h in grid)
+    sight = shapely.LineString([(-10.0, 0.5), (10.0, -0.5)])
+    assert hiding == sum(sight.intersects(polygon(x, y, h, 12.0, 2.5)) for x, y, h in grid)
+
+
+@given(boxes, boxes, points)
+def test_touching_and_hiding_have_no_direction(a, b, eye):
+    assert boxes_touch(*a, *b) == boxes_touch(*b, *a)
+    one, other = box_hides(*eye, a[0], a[1], *b), box_hides(a[0], a[1], *eye, *b)
+    if one != other:  # only where the line grazes a corner
+        grazed = shapely.LineString([eye, (a[0], a[1])])
+        assert grazed.distance(polygon(*b).exterior) < NEARLY
+
+
+def test_a_box_behind_the_eye_or_beyond_the_point_hides_nothing():
+    assert box_hides(0, 0, 20, 0, 10, 0, 0, 5, 2)
+    assert not box_hides(0, 0, 20, 0, -10, 0, 0, 5, 2)
+    assert not box_hides(0, 0, 20, 0, 30, 0, 0, 5, 2)
+    assert not box_hides(0, 0, 20, 0, 10, 1.01, 0, 5, 2)

@@ -1,0 +1,170 @@
+"""Record the expert, clone it with and without sharing, score both in closed loop, print the table.
+
+python train.py                                      the main job, some minutes on two cores
+python train.py --episodes 200 --steps 600 --score 50 --out runs/quick     a quick look
+
+Interrupt it as you like: the same command goes on where it stopped.
+"""
+
+import json
+import queue
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Future
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from baselines.settings import Settings
+from cad_env.config import check_range, radio_config
+from evaluate import parsed, refused, scored, stopped
+
+SCORED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
+
+    scenario: str = "left_turn"
+    out: Path | None = None  # folder of models, data and scores; default: runs/<scenario>
+    radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing network is trained and scored on
+    episodes: int = 1000  # driven by the expert
+    corrections: int = 1  # rounds in which the network drives and the expert labels (DAgger)
+    steps: int = 3000  # optimiser steps of the first round; later rounds take half as many
+    seed: int = 0  # of the networks and of everything drawn while training
+    score: int = 300  # episodes per contender at the end; 0 trains only
+    jobs: int = 2  # processes
+    velocity: bool = False  # a departure from the paper: nodes carry their velocity (see docs/results.md)
+
+    def __post_init__(self) -> None:
+        if radio_config(self.radio).budget == 0.0:
+            raise ValueError(f"radio must be one that carries something, got {self.radio!r}")
+        check_range("score", self.score, 0, 1_000_000)
+        check_range("jobs", self.jobs, 1, 64)
+
+    def folder(self) -> Path:
+        """Where everything goes."""
+        return self.out or Path("runs") / self.scenario
+
+    def scoring(self) -> Settings:
+        """The closed-loop comparison at the end; other episodes or another version of the scenes score anew."""
+        from cad_env.compiled import cache_folder
+
+        scores = self.folder() / f"scores_{self.score}_{cache_folder().name[:8]}"
+        return Settings(
+            scenario=self.scenario, contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
+            jobs=self.jobs, out=scores, radio=self.radio,
+        )  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    try:
+        settings = parsed(TrainSettings, argv)
+        check_scenario(settings)
+        claim(settings)
+        train_all(settings)
+    except (ValueError, OSError) as error:
+        return refused(error)
+    except (KeyboardInterrupt, BrokenExecutor) as error:
+        return stopped(error)
+    print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
+    return scored(settings.scoring()) if settings.score else 0
+
+
+def check_scenario(settings: TrainSettings) -> None:
+    """ValueError, before anything is made, for a scenario that does not exist or a course that is impossible."""
+    from cad_env.scenarios import scenario_named
+
+    scenario_named(settings.scenario)
+    courses(settings)
+
+
+def courses(settings: TrainSettings) -> dict[str, Any]:
+    """The two networks to train, by the name of their folder: the same course, with sharing and without."""
+    from policies.stgraph import StGraphConfig
+    from policies.training import Course
+
+    def course(radio: str) -> Course:
+        return Course(
+            scenario=settings.scenario, radio=radio, seed=settings.seed, episodes=settings.episodes,
+            corrections=settings.corrections, steps=settings.steps, network=StGraphConfig(velocity=settings.velocity),
+        )  # fmt: skip
+
+    return {"shared": course(settings.radio), "own": course("none")}
+
+
+def claim(settings: TrainSettings) -> None:
+    """Note in the folder what it is for; ValueError if it holds a run of other settings."""
+    folder, path = settings.folder(), settings.folder() / "settings.json"
+    wanted = json.loads(json.dumps({name: asdict(course) for name, course in courses(settings).items()}))
+    if path.exists():
+        try:
+            found = json.loads(path.read_text())
+        except ValueError:
+            raise ValueError(f"{path} is damaged: use another folder or delete that one") from None
+        if found != wanted:
+            raise ValueError(f"{folder} holds a run with {_difference(found, wanted)}: use another --out or delete it")
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(wanted, indent=2) + "\n")
+    temporary.replace(path)
+
+
+def _difference(found: Any, wanted: Mapping[str, Any]) -> str:
+    before = found.get("shared", {}) if isinstance(found, dict) else {}
+    for name, value in wanted["shared"].items():
+        if before.get(name) != value:
+            return f"{name}={before.get(name)!r}, now {value!r}"
+    return "other settings"
+
+
+def train_all(settings: TrainSettings) -> None:
+    """Train both networks side by side, with one progress bar over all their work."""
+    from tqdm import tqdm
+
+    from baselines.workers import workers
+
+    plan = courses(settings)
+    total = sum(course.work() for course in plan.values())
+    with workers(min(settings.jobs, len(plan))) as (pool, told):
+        running = [pool.submit(_train_one, course, settings.folder() / name) for name, course in plan.items()]
+        with tqdm(total=total, desc="training", bar_format=BAR, disable=None) as bar:
+            while not all(future.done() for future in running):
+                bar.update(_heard(told))
+                _raise_if_failed(running)
+            bar.update(_heard(told))
+        _raise_if_failed(running)
+
+
+BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+
+
+def _heard(told: Any) -> float:
+    try:
+        work = float(told.get(timeout=0.5))
+        while not told.empty():
+            work += float(told.get())
+        return work
+    except queue.Empty:
+        return 0.0
+
+
+def _raise_if_failed(running: Sequence[Future[None]]) -> None:
+    for future in running:
+        if future.done():
+            future.result()
+
+
+def _train_one(course: Any, folder: Path) -> None:
+    from baselines.workers import tell
+    from policies.training import train
+
+    advance: Callable[[float], object] = tell
+    train(course, folder, advance)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

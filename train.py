@@ -30,8 +30,8 @@ class TrainSettings:
     out: Path | None = None  # folder of models, data and scores; default: runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing network is trained and scored on
     episodes: int = 1000  # driven by the expert
-    corrections: int = 1  # rounds in which the network drives and the expert labels (DAgger)
-    steps: int = 3000  # optimiser steps of the first round; later rounds take half as many
+    corrections: int = 0  # rounds in which the network drives and the expert labels (DAgger)
+    steps: int = 1800  # optimiser steps of the first round; later rounds take half as many
     seed: int = 0  # of the networks and of everything drawn while training
     score: int = 300  # episodes per contender at the end; 0 trains only
     jobs: int = 2  # processes

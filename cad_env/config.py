@@ -79,7 +79,7 @@ def radio_config(radio: str | RadioConfig) -> RadioConfig:
     """A preset by name, or the given configuration as it is."""
     if isinstance(radio, RadioConfig):
         return radio
-    if radio not in RADIO_PRESETS:
+    if not isinstance(radio, str) or radio not in RADIO_PRESETS:
         raise ValueError(f"unknown radio {radio!r}: choose one of {', '.join(RADIO_PRESETS)} or give a RadioConfig")
     return RADIO_PRESETS[radio]
 

@@ -32,7 +32,9 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
-        traffic = {"collaborators": COLLABORATORS, **dict(options.pop("traffic", None) or {})}
+        traffic = options.pop("traffic", {})
+        if isinstance(traffic, Mapping):
+            traffic = {"collaborators": COLLABORATORS, **traffic}
         self.simulation = Simulation(setup_from({**options, "traffic": traffic}))
         self.render_mode = render_mode
         self.possible_agents = [f"cav_{k}" for k in range(1 + self.simulation.traffic.collaborators[1])]

@@ -40,7 +40,7 @@ class Rule(NamedTuple):
 class PlannerConfig:
     """How careful the rules are."""
 
-    look_ahead: float = 2.5  # s; longer, and it brakes for what no connected vehicle can see yet
+    look_ahead: float = 2.0  # s; longer, and it brakes for what no connected vehicle can see yet
     ahead: float = 0.7  # s of its travel by which a vehicle is lengthened in front ...
     behind: float = 2.0  # s ... and behind
     margin: float = 0.5  # m around every vehicle

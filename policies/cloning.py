@@ -23,7 +23,7 @@ class Recipe:
     """How a network is fitted."""
 
     batch: int = 64  # graphs
-    learning_rate: float = 1e-3  # of Adam, at the start of a round; falls to a tenth by a cosine
+    learning_rate: float = 5e-3  # of Adam, at the start of a round; falls to a tenth by a cosine
     brake_share: float = 0.3  # of every batch; in the recorded frames it is about a tenth
 
 

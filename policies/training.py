@@ -43,9 +43,9 @@ class Course:
     radio: str = "dsrc"  # none: trained, as it will be run, without sharing
     seed: int = 0
     episodes: int = 1000  # driven by the expert
-    corrections: int = 1  # DAgger rounds: the network drives, the expert labels
+    corrections: int = 0  # DAgger rounds: the network drives, the expert labels
     corrected_episodes: int = 256  # in each of them
-    steps: int = 3000  # optimiser steps of the first round; half as many in each later one
+    steps: int = 1800  # optimiser steps of the first round; half as many in each later one
     segments: int = 3  # parts of a round; a checkpoint and a validation after each
     validation: int = 100  # episodes after each segment
     final_validation: int = 150  # episodes for each of the best checkpoints and thresholds

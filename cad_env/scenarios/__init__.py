@@ -11,6 +11,6 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType({scenario.name: scenario fo
 
 def scenario_named(name: str) -> Scenario:
     """The scenario called `name`; ValueError that lists the choices otherwise."""
-    if name not in SCENARIOS:
+    if not isinstance(name, str) or name not in SCENARIOS:
         raise ValueError(f"unknown scenario {name!r}: choose among {', '.join(SCENARIOS)}")
     return SCENARIOS[name]

@@ -15,7 +15,7 @@ from cad_env.world.state import SCRIPTED, STANDING
 
 AHEAD = np.stack([np.arange(60) * ROUTE_SPACING, np.zeros(60)], axis=-1)
 EGO = np.array([10.0, 10.0, 4.8, 1.9])  # speed, wanted speed, length, width
-RULE = PlannerConfig().rule
+RULE = PlannerConfig(look_ahead=4.0, ahead=0.7, behind=2.0, margin=0.5).rule
 
 
 def crossing(seconds: float, speed: float = 10.0, at: float = 20.0) -> np.ndarray:

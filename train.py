@@ -32,6 +32,7 @@ class TrainSettings:
     episodes: int = 1000  # driven by the expert
     corrections: int = 0  # rounds in which the network drives and the expert labels (DAgger)
     steps: int = 1800  # optimiser steps of the first round; later rounds take half as many
+    validation: int = 100  # closed-loop episodes after each third of a round, by which the checkpoint is chosen
     seed: int = 0  # of the networks and of everything drawn while training
     score: int = 300  # episodes per contender at the end; 0 trains only
     jobs: int = 2  # processes
@@ -89,7 +90,8 @@ def courses(settings: TrainSettings) -> dict[str, Any]:
     def course(radio: str) -> Course:
         return Course(
             scenario=settings.scenario, radio=radio, seed=settings.seed, episodes=settings.episodes,
-            corrections=settings.corrections, steps=settings.steps, network=StGraphConfig(velocity=settings.velocity),
+            corrections=settings.corrections, steps=settings.steps, validation=settings.validation,
+            final_validation=settings.validation * 3 // 2, network=StGraphConfig(velocity=settings.velocity),
         )  # fmt: skip
 
     return {"shared": course(settings.radio), "own": course("none")}

@@ -125,7 +125,7 @@ def _drive(envs: Sequence[CADEnv], driver: Policy, expert: Expert, seeds: Sequen
 
 def write_shard(path: Path, frames: Frames) -> None:
     """Write a shard whole or not at all."""
-    temporary = path.with_suffix(".tmp.npz")
+    temporary = path.with_name(path.name + ".tmp")
     meta = json.dumps({"format": FORMAT, "frames": len(frames)})
     with temporary.open("wb") as file:
         np.savez_compressed(file, meta=np.array(meta), **{name: getattr(frames, name) for name in _ARRAYS})

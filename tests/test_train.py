@@ -1,0 +1,80 @@
+"""The training command, as its users run it."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import train
+
+ROOT = Path(__file__).parents[1]
+TINY = ["--episodes", "6", "--steps", "9", "--validation", "2", "--score", "2"]
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, str(ROOT / "train.py"), *arguments]
+
+
+def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    first = subprocess.Popen(command(*TINY, "--out", str(out)), stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    deadline = time.monotonic() + 120
+    while not list(out.glob("*/demonstrations/*/*.npz")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    first.send_signal(signal.SIGINT)
+    _, errors = first.communicate(timeout=60)
+    assert first.returncode == 130
+    assert "the same command goes on" in errors
+    assert "Traceback" not in errors
+    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("*/demonstrations/*/*.npz")}
+    assert kept
+    second = subprocess.run(
+        command(*TINY, "--out", str(out)), capture_output=True, text=True, cwd=tmp_path, timeout=300, check=False
+    )
+    assert second.returncode == 0, second.stderr
+    assert all(shard.stat().st_mtime_ns == then for shard, then in kept.items())
+    assert "stgraph-own" in second.stdout
+    for name in ("shared", "own"):
+        assert {"model.safetensors", "config.json", "metrics.csv"} <= {p.name for p in (out / name).iterdir()}
+    rows = json.loads(next(out.glob("scores_*/scores.json")).read_text())
+    assert {row["contender"] for row in rows} == set(train.SCORED)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "left_trun"], "left_trun.*left_turn"),
+        (["--radio", "dsrk"], "dsrk.*dsrc"),
+        (["--radio", "none"], "radio must be one that carries something"),
+        (["--episodes", "0"], "episodes must be a number from 1"),
+        (["--steps", "many"], "steps"),
+        (["--setps", "9"], "setps"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train.main([*arguments, "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(message, error), error
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = train.TrainSettings(out=tmp_path / "run", steps=9)
+    train.claim(settings)
+    train.claim(settings)
+    assert train.main(["--out", str(tmp_path / "run"), "--steps", "12"]) == 2
+    assert "steps=9, now 12" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert train.main(["--out", str(tmp_path / "file" / "run")]) == 2
+    assert capsys.readouterr().err.startswith("error: ")

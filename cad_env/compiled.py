@@ -21,11 +21,23 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def compiled(function: Function) -> Function:
     """Compile `function` to machine code at its first call; with NUMBA_DISABLE_JIT=1 return it as it is."""
+    return _compiled(function, from_python=True)
+
+
+def compiled_part(function: Function) -> Function:
+    """As `compiled`, for a function that only compiled ones call: without a way in from Python it compiles faster."""
+    return _compiled(function, from_python=False)
+
+
+def _compiled(function: Function, from_python: bool) -> Function:
     before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder())
     try:
         # error_model="numpy": a division by zero gives inf as in numpy, and the check costs nothing.
-        return cast(Function, numba.njit(cache=True, error_model="numpy")(function))
+        compiler = numba.njit(  # type: ignore[call-overload]  # the last two are not in numba's stubs
+            cache=True, error_model="numpy", no_cpython_wrapper=not from_python, no_cfunc_wrapper=not from_python
+        )
+        return cast(Function, compiler(function))
     finally:
         numba_config.CACHE_DIR = before
 

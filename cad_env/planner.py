@@ -137,8 +137,8 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
     route = world.route[row]
     for p in range(reach):
         index = min(int((world.progress[row] + p * ROUTE_SPACING) / routes.spacing + 0.5), last)
-        way[p] = routes.point[route, index]
-    way[0] = world.position[row]
+        way[p, 0], way[p, 1] = routes.point[route, index, 0], routes.point[route, index, 1]
+    way[0, 0], way[0, 1] = world.position[row, 0], world.position[row, 1]
     ego = np.array([world.speed[row], world.target_speed[row], world.size[row, 0], world.size[row, 1]])
     return decide(way, ego, others[:n], rule)
 
@@ -155,7 +155,8 @@ def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego
             others[n, 4], others[n, 5] = length, width
             n += 1
     way = np.zeros((route.shape[0] + 1, 2))  # the ego is the origin
-    way[1:] = route
+    for p in range(route.shape[0]):
+        way[p + 1, 0], way[p + 1, 1] = route[p, 0], route[p, 1]
     return decide(way, ego.astype(np.float64), others[:n], rule)
 
 

@@ -57,6 +57,7 @@ _MAGIC = 0x4743  # "CG"
 _RESOLUTION = 1  # cm
 _HEADER = 12  # bytes
 _CRC = 4  # bytes
+_START = np.int64(_HEADER)  # of a numpy type: numba compiles a function anew for every plain number in a call of it
 _VARIES = 15  # the bit of the frames that says that the height is not one
 
 
@@ -137,7 +138,7 @@ def read(buffer: Bytes, length: int, header: Ints, rows: Rows) -> int:
     if tracks > rows.track.shape[0]:
         return CAPACITY
     header[0], header[1], header[2] = take_fixed(buffer, 6, 2), take_fixed(buffer, 8, 4), int(buffer[3])
-    at, end = _HEADER, length - _CRC
+    at, end = _START, length - _CRC
     origin = np.zeros(3, np.int64)
     for row in range(tracks):
         at = _take_track(buffer, at, end, rows, row, header[2], origin)

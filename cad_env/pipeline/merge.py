@@ -120,9 +120,11 @@ def finish_merge(merged: Rows, trail: Floats) -> None:
         if not alive:
             continue
         if kept != g:
-            merged.position[kept] = merged.position[g]
-            merged.mask[kept] = merged.mask[g]
             merged.kind[kept] = merged.kind[g]
+            for t in range(FRAMES):
+                merged.mask[kept, t] = merged.mask[g, t]
+                for axis in range(3):
+                    merged.position[kept, t, axis] = merged.position[g, t, axis]
         merged.track[kept] = kept
         kept += 1
     merged.used[0] = kept

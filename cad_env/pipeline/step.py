@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, compiled_part
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
@@ -18,6 +18,9 @@ from cad_env.types import FRAMES, MERGED_ROWS, ROWS, Bools, Bytes, Floats, Ints,
 from cad_env.world.state import Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
+# First rows of a graph to merge: row 0 of the own one is the own body. Of a numpy type, because numba compiles a
+# function anew for every plain number that is written in a call of it.
+ALL, OTHERS = np.int64(0), np.int64(1)
 
 
 class Report(NamedTuple):
@@ -77,7 +80,7 @@ def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link,
         show(world, routes, fleet, r)
 
 
-@compiled
+@compiled_part
 def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, step: int) -> None:
     """One frame of one vehicle: fix, detections, tracks, and the window of its graph."""
     row, trail = fleet.rows[v], fleet.trail[v]
@@ -89,7 +92,8 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
     fix_pose(world, row, sensor, key, step, pose)
     if step == 0:  # nothing is known of the time before the start: the vehicle is taken to have stood there
         for t in range(FRAMES - 1):
-            trail[t] = pose
+            for axis in range(3):
+                trail[t, axis] = pose[axis]
     found = sense(world, row, sensor, key, step, pose, fleet.detection, fleet.detected_kind, fleet.visible[v])
     update(tracks, fleet.detection, fleet.detected_kind, found, sensor.noise)
     slide(window)
@@ -99,7 +103,7 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
             add_track(window, tracks.id[i], tracks.kind[i], tracks.recent[i], tracks.recent_mask[i])
 
 
-@compiled
+@compiled_part
 def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: int) -> None:
     """Write one vehicle's graph as bytes and hand them to the radio."""
     size = 0
@@ -111,7 +115,7 @@ def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: 
     fleet.report.sent_bytes[v] = size if reason == ACCEPTED else 0
 
 
-@compiled
+@compiled_part
 def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
     """Parse what arrives, once per message, and give it to every receiver that it reaches."""
     report = fleet.report
@@ -133,19 +137,19 @@ def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
                 receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
 
 
-@compiled
+@compiled_part
 def fuse(fleet: Fleet, r: int) -> None:
     """Merge what receiver r knows by itself with what it holds of the others, in the order of their numbers."""
     merged, trail = _rows_at(fleet.merged, r), fleet.trail[r]
     start_merge(merged, fleet.weight)
-    take_in(merged, fleet.weight, _rows_at(fleet.window, r), 1, trail)  # row 0 is its own body
+    take_in(merged, fleet.weight, _rows_at(fleet.window, r), OTHERS, trail)
     for v in range(fleet.rows.shape[0]):
         if v != r:
-            take_in(merged, fleet.weight, _kept_at(fleet.kept, r, v), 0, trail)
+            take_in(merged, fleet.weight, _kept_at(fleet.kept, r, v), ALL, trail)
     finish_merge(merged, trail)
 
 
-@compiled
+@compiled_part
 def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     """Fill receiver r's view."""
     row, view, trail = fleet.rows[r], _view_at(fleet.views, r), fleet.trail[r]
@@ -156,17 +160,17 @@ def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     )  # fmt: skip
 
 
-@compiled
+@compiled_part
 def _rows_at(stack: Rows, v: int) -> Rows:
     return Rows(stack.used[v], stack.track[v], stack.position[v], stack.mask[v], stack.kind[v])
 
 
-@compiled
+@compiled_part
 def _kept_at(stack: Rows, r: int, v: int) -> Rows:
     return Rows(stack.used[r, v], stack.track[r, v], stack.position[r, v], stack.mask[r, v], stack.kind[r, v])
 
 
-@compiled
+@compiled_part
 def _tracks_at(stack: Tracks, v: int) -> Tracks:
     return Tracks(
         stack.used[v], stack.next_id[v], stack.id[v], stack.mean[v], stack.covariance[v], stack.height[v],
@@ -174,7 +178,7 @@ def _tracks_at(stack: Tracks, v: int) -> Tracks:
     )  # fmt: skip
 
 
-@compiled
+@compiled_part
 def _view_at(stack: View, r: int) -> View:
     return View(
         stack.tracks[r], stack.mask[r], stack.kind[r], stack.odometry[r], stack.ego[r], stack.command[r],

@@ -155,9 +155,13 @@ def _drop_lost(tracks: Tracks) -> None:
             tracks.id[kept], tracks.kind[kept] = tracks.id[i], tracks.kind[i]
             tracks.hits[kept], tracks.misses[kept] = tracks.hits[i], tracks.misses[i]
             tracks.height[kept] = tracks.height[i]
-            tracks.mean[kept] = tracks.mean[i]
-            tracks.covariance[kept] = tracks.covariance[i]
-            tracks.recent[kept] = tracks.recent[i]
-            tracks.recent_mask[kept] = tracks.recent_mask[i]
+            for k in range(4):
+                tracks.mean[kept, k] = tracks.mean[i, k]
+            for k in range(3):
+                tracks.covariance[kept, k] = tracks.covariance[i, k]
+            for k in range(BIRTH_HITS):
+                tracks.recent_mask[kept, k] = tracks.recent_mask[i, k]
+                for axis in range(3):
+                    tracks.recent[kept, k, axis] = tracks.recent[i, k, axis]
         kept += 1
     tracks.used[0] = kept

@@ -7,6 +7,7 @@ anywhere starts a new cache. It lives in the user's cache folder, so a read-only
 
 import hashlib
 import os
+import sys
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -40,6 +41,13 @@ def _compiled(function: Function, from_python: bool) -> Function:
         return cast(Function, compiler(function))
     finally:
         numba_config.CACHE_DIR = before
+
+
+@cache
+def announce_compilation(function: str) -> None:
+    """Say once on stderr that the machine code of `module.function` is yet to be made, which takes a while."""
+    if not numba_config.DISABLE_JIT and next(cache_folder().rglob(f"{function}-*.nbi"), None) is None:
+        print("cad_env: compiling the simulation for this machine, about half a minute, once", file=sys.stderr)
 
 
 @cache

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cad_env.chance import stream_key
+from cad_env.compiled import announce_compilation
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
 from cad_env.pipeline.observe import as_observation
 from cad_env.pipeline.radio import ACCEPTED, REASONS, link_of
@@ -86,6 +87,7 @@ class Simulation:
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
         """Begin the episode of a seed. `receivers`: how many of the connected, in order, merge and observe."""
+        announce_compilation("step.run")
         self.seed, self.steps = seed, 0
         self.scene: Scene = self.scenario.scene(self.traffic, seed, hazard)
         self.world: World = place(self.scene, self.map.routes)

@@ -32,7 +32,8 @@ def gap_to_leader(world: World, routes: Routes, i: int) -> tuple[float, float]:
         if j == i or world.driver[j] == OFF:
             continue
         sample = min(max(int(world.progress[j] / routes.spacing + 0.5), 0), last)
-        ahead = routes.projection[own, world.route[j], sample, 0] - world.progress[i]
+        beyond = world.progress[j] - sample * routes.spacing  # up to half a spacing either way
+        ahead = routes.projection[own, world.route[j], sample, 0] + beyond - world.progress[i]
         if not 0.0 < ahead < LOOK_AHEAD:  # also refuses NaN: j's route does not run along i's there
             continue
         side = abs(routes.projection[own, world.route[j], sample, 1])

@@ -14,6 +14,8 @@ PURSUIT_TIME = 0.1  # s the steering looks ahead along the route
 HEADING_GAIN = 5.0  # 1/s
 LATERAL_GAIN = 1.0 / 0.6  # 1/s
 MAX_STEERING = math.pi / 3  # rad
+# Both gains go with 1 / speed: below half a metre a second, at 20 Hz, they would blow rounding errors up to centimetres.
+LEAST_STEERING_SPEED = 1.0  # m/s
 
 
 @compiled
@@ -54,7 +56,7 @@ def wrapped(angle: float) -> float:
 def steering(routes: Routes, route: int, progress: float, lateral: float, heading: float, speed: float,
              length: float) -> float:  # fmt: skip
     """The steering angle that follows the route, rad: lateral offset -> heading -> heading rate -> slip angle."""
-    safe_speed = max(speed, 0.01)
+    safe_speed = max(speed, LEAST_STEERING_SPEED)
     correction = math.asin(min(max(-LATERAL_GAIN * lateral / safe_speed, -1.0), 1.0))
     wanted = heading_at(routes, route, progress + speed * PURSUIT_TIME)
     wanted += min(max(correction, -math.pi / 4), math.pi / 4)

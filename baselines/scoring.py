@@ -88,23 +88,17 @@ def drive(settings: Settings, task: Task) -> list[Record]:
     policy = contender.make_policy(settings.models())
     abreast = min(ABREAST, len(seeds)) if isinstance(policy, BatchPolicy) else 1
     envs = [CADEnv(**settings.environment(contender.shares)) for _ in range(abreast)]
-    largest = dict.fromkeys(seeds, 0)
-
-    def watch(env: CADEnv, observation: Any, action: int) -> None:
-        simulation = env.simulation
-        largest[simulation.seed] = max(largest[simulation.seed], int(simulation.fleet.report.sent_bytes.max()))
-
-    episodes = rollouts(envs, policy, seeds, name, HAZARDS[settings.hazard], watch)
-    records = {episode.seed: _record(episode, largest[episode.seed]) for episode in episodes}
+    episodes = rollouts(envs, policy, seeds, name, HAZARDS[settings.hazard])
+    records = {episode.seed: _record(episode) for episode in episodes}
     return [records[seed] for seed in seeds]
 
 
-def _record(episode: Episode, largest: int) -> Record:
+def _record(episode: Episode) -> Record:
     messages = int(episode.messages_sent.sum())
     return Record(
         episode.scenario, episode.contender, episode.seed, episode.hazard, episode.outcome, round(episode.time, 6),
-        episode.brakes, round(episode.bytes_per_message, 3) if messages else None, largest if messages else None,
-        messages, int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
+        episode.brakes, round(episode.bytes_per_message, 3) if messages else None,
+        int(episode.largest_message.max()) if messages else None, messages, int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
         round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
     )  # fmt: skip
 

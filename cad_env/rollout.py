@@ -24,6 +24,7 @@ class Episode:
     speed: Floats  # (n,) m/s of the ego after each decision
     bytes_sent: Ints  # (n,) by all connected vehicles, per decision
     messages_sent: Ints  # (n,)
+    largest_message: Ints  # (n,) bytes
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
 
@@ -115,19 +116,18 @@ class _Run:
         self.env, self.seed = env, seed
         self.observation, self.info = env.reset(seed=seed, options={"hazard": hazard})
         self.over = False
-        self.rows: list[tuple[int, float, int, int, int]] = []
+        self.rows: list[tuple[int, float, int, int, int, int]] = []
 
     def step(self, action: int) -> None:
         self.observation, _, terminated, truncated, self.info = self.env.step(action)
         info = self.info
-        self.rows.append(
-            (action, info["speed"], info["bytes_sent"], info["messages_sent"], info["messages_lost"])
-        )  # fmt: skip
+        told = (info[name] for name in ("bytes_sent", "messages_sent", "largest_message", "messages_lost"))
+        self.rows.append((action, info["speed"], *told))
         self.over = terminated or truncated
 
     def episode(self, contender: str) -> Episode:
-        action, speed, sent, messages, lost = (np.array(column) for column in zip(*self.rows, strict=True))
+        action, speed, sent, messages, largest, lost = (np.array(column) for column in zip(*self.rows, strict=True))
         return Episode(
             self.env.simulation.scenario.name, contender, self.seed, bool(self.info["hazard"]), self.info["outcome"],
-            action.astype(np.int8), speed, sent, messages, lost, float(self.info["min_ttc"]),
+            action.astype(np.int8), speed, sent, messages, largest, lost, float(self.info["min_ttc"]),
         )  # fmt: skip

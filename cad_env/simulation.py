@@ -149,6 +149,7 @@ class Simulation:
         return {
             "bytes_sent": int(air.sent_bytes.sum()),
             "bytes_received": int(air.received_bytes[0]),
+            "largest_message": int(air.sent_bytes.max()),
             "messages_sent": int((air.refusal == ACCEPTED).sum()),
             "messages_lost": int(air.lost[0]),
             "refused": next((REASONS[int(reason)] for reason in air.refusal if reason != ACCEPTED), None),

@@ -14,7 +14,7 @@ PURSUIT_TIME = 0.1  # s the steering looks ahead along the route
 HEADING_GAIN = 5.0  # 1/s
 LATERAL_GAIN = 1.0 / 0.6  # 1/s
 MAX_STEERING = math.pi / 3  # rad
-# Both gains go with 1 / speed: below half a metre a second, at 20 Hz, they would blow rounding errors up to centimetres.
+# Both gains go with 1 / speed: below 0.5 m/s, at 20 Hz, they would blow rounding errors up to centimetres.
 LEAST_STEERING_SPEED = 1.0  # m/s
 
 

@@ -98,7 +98,8 @@ def _record(episode: Episode) -> Record:
     return Record(
         episode.scenario, episode.contender, episode.seed, episode.hazard, episode.outcome, round(episode.time, 6),
         episode.brakes, round(episode.bytes_per_message, 3) if messages else None,
-        int(episode.largest_message.max()) if messages else None, messages, int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
+        int(episode.largest_message.max()) if messages else None, messages,
+        int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
         round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
     )  # fmt: skip
 

@@ -65,6 +65,12 @@ def test_the_leader_is_the_nearest_in_the_way_and_nobody_else():
     assert gap_to_leader(alone, cross(), 0) == (math.inf, 0.0)
 
 
+@given(st.floats(0.0, 60.0), st.floats(0.0, 60.0))
+def test_the_gap_is_from_bumper_to_bumper_wherever_they_are(here: float, apart: float):
+    world = world_of(Placement(EAST, 100.0 + here, 10.0, 10.0), Placement(EAST, 105.0 + here + apart, 4.0, 4.0))
+    assert gap_to_leader(world, cross(), 0)[0] == pytest.approx(apart + 5.0 - 4.8, abs=1e-9)
+
+
 def test_idm_has_its_published_equilibria():
     # v = v0 on a free road, and the gap s0 + vT over sqrt(1 - (v/v0)^4) behind a leader of one's own speed.
     assert idm_acceleration(10.0, 10.0, math.inf, 0.0) == 0.0

@@ -20,7 +20,7 @@ from cad_env.world.state import OFF
 HAZARDS = range(1_000_000, 1_000_005)
 INFO = {
     "seed", "hazard", "speed", "crashed", "outcome", "is_success", "min_ttc", "bytes_sent", "bytes_received",
-    "messages_sent", "messages_lost", "refused",
+    "largest_message", "messages_sent", "messages_lost", "refused",
 }  # fmt: skip
 
 
@@ -157,7 +157,7 @@ def test_vehicles_are_live_views_on_the_world():
     world.speed[2] = 1.25
     assert vehicle.speed == 1.25
     assert vehicle.velocity.tolist() == pytest.approx([1.25 * math.cos(0.25), 1.25 * math.sin(0.25)])
-    assert (vehicle.LENGTH, vehicle.WIDTH) == tuple(world.size[2])
+    assert tuple(world.size[2]) == (vehicle.LENGTH, vehicle.WIDTH)
     assert not vehicle.crashed
     world.struck[2] = 0
     assert vehicle.crashed

@@ -79,7 +79,7 @@ def test_the_ego_sees_what_it_sees_in_the_single_agent_environment():
         assert same(observation, observations["cav_0"])
         action = policy.act(observation)
         observation, reward, terminated, truncated, info = single.step(action)
-        actions = {agent: GO for agent in many.agents} | {"cav_0": action}
+        actions = dict.fromkeys(many.agents, GO) | {"cav_0": action}
         observations, rewards, terminations, truncations, infos = many.step(actions)
         ended = terminated or truncated
         assert rewards["cav_0"] == pytest.approx(reward)

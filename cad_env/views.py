@@ -146,8 +146,13 @@ class NorthUpViewer(EnvViewer):
         """Draw one frame."""
         import pygame
 
+        window = not self.config["offscreen_rendering"]
+        self.offscreen = True  # the stock viewer must not show the picture before it is turned
         super().display()
+        self.offscreen = not window
         self.sim_surface.blit(pygame.transform.flip(self.sim_surface, False, True), (0, 0))
-        if not self.offscreen:
+        if window:
             self.screen.blit(self.sim_surface, (0, 0))
+            if self.config["real_time_rendering"]:
+                self.clock.tick(self.config["policy_frequency"])
             pygame.display.flip()

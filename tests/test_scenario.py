@@ -259,3 +259,14 @@ def test_an_unknown_scenario_is_refused_with_the_choices():
     with pytest.raises(ValueError, match="unknown scenario 'right_turn': choose among left_turn"):
         scenario_named("right_turn")
     assert list(SCENARIOS) == ["left_turn"]
+
+
+def test_a_hazard_that_would_have_to_start_beyond_the_road_is_refused():
+    with pytest.raises(ValueError, match=r"ego_start=\(5.0, 150.0\).*starts more than 250 m away"):
+        LEFT_TURN.configured({"ego_start": (5.0, 150.0)})
+
+
+def test_a_vehicle_that_passed_long_ago_is_at_the_end_of_its_road():
+    for seed in range(30):
+        scene = drawn(seed, early=(30.0, 30.0), hazard_share=0.0)
+        assert all(0.0 < vehicle.progress < 500.0 for vehicle in scene.placements)

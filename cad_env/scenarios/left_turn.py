@@ -17,6 +17,7 @@ from cad_env.world.state import SCRIPTED, STANDING
 
 ARC = 0.5 * math.pi * TURN_RADIUS  # m of the ego's turn
 LINE = ARM - STOP_LINE  # m along every route to its stop line
+SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,12 @@ class LeftTurnConfig:
         for name in ("others", "collaborators"):
             if any(int(end) != end for end in getattr(self, name)):
                 raise ValueError(f"{name} must be a pair of whole numbers, got {getattr(self, name)!r}")
+        slowest = (self.ego_start[1] + 0.5 * ARC) / (SLOW_START * self.ego_speed[0])
+        if (slowest + max(self.hazard_timing[1], self.late[0])) * self.collider_speed[1] > ARM:
+            raise ValueError(
+                f"ego_speed={self.ego_speed!r}, ego_start={self.ego_start!r} and collider_speed={self.collider_speed!r} "
+                f"ask for a vehicle that starts more than {ARM:g} m away: let the ego start nearer or faster"
+            )
 
 
 @cache
@@ -96,7 +103,7 @@ def draw(junction: Map, config: LeftTurnConfig, rng: np.random.Generator, hazard
 
 def _ego(config: LeftTurnConfig, rng: np.random.Generator) -> Placement:
     target = rng.uniform(*config.ego_speed)
-    return Placement(0, LINE - rng.uniform(*config.ego_start), target * rng.uniform(0.8, 1.0), target)
+    return Placement(0, LINE - rng.uniform(*config.ego_start), target * rng.uniform(SLOW_START, 1.0), target)
 
 
 def _truck(junction: Map, config: LeftTurnConfig, rng: np.random.Generator) -> Placement:
@@ -122,7 +129,8 @@ def _collider(
     ego_conflict, hidden_conflict = _conflict()
     meet = unbraked_time(ego.speed, ego.target_speed, ego_conflict - ego.progress)
     arrival = meet + (timing[0] if hazard else timing[story])
-    progress = max(hidden_conflict - speed * arrival, 1.0)
+    end = float(junction.routes.length[junction.route("north_through")]) - 1.0
+    progress = min(max(hidden_conflict - speed * arrival, 1.0), end)  # long gone is at the end, and leaves
     return Placement(junction.route("north_through"), progress, speed, speed, SCRIPTED, CAR, **body)
 
 

@@ -57,7 +57,7 @@ def test_a_follower_never_touches_a_leader_that_brakes_when_it_likes(speed, lead
 def test_the_leader_is_the_nearest_in_the_way_and_nobody_else():
     own = Placement(EAST, 100.0, 10.0, 10.0)
     nearest, beyond = Placement(EAST, 130.0, 4.0, 4.0), Placement(EAST, 150.0, 1.0, 1.0)
-    behind, aside = Placement(EAST, 90.0, 20.0, 20.0), Placement(BESIDE, 110.0, 2.0, 2.0)
+    behind, aside = Placement(EAST, 95.1, 20.0, 20.0), Placement(BESIDE, 110.0, 2.0, 2.0)
     oncoming, crossing = Placement(WEST, 2 * ARM - 120.0, 3.0, 3.0), Placement(NORTH, ARM, 3.0, 3.0)
     world = world_of(own, beyond, nearest, behind, aside, oncoming, crossing)
     assert gap_to_leader(world, cross(), 0) == pytest.approx((30.0 - 4.8, 4.0))

@@ -99,6 +99,12 @@ def test_an_echo_of_oneself_within_two_metres_is_left_out():
     assert EGO_RADIUS == 2.0
 
 
+def test_an_echo_of_oneself_does_not_pull_at_a_neighbour():
+    # The first says where the neighbour is, the second where the ego is; they are near enough to be taken for one.
+    neighbour, echo = graph((0.0, 2.6, 0, 0)), graph((0.0, 1.8, 0, 0))
+    assert newest(merge(graph(), neighbour, echo, trail=np.zeros((FRAMES, 3)))).tolist() == [[0.0, 2.6]]
+
+
 def test_the_ego_rule_asks_where_the_ego_was_in_that_frame():
     # A vehicle that stands where the ego is now was another vehicle when the ego was far away.
     trail = np.stack([np.arange(FRAMES) * 1.5, np.zeros(FRAMES), np.zeros(FRAMES)], axis=-1)

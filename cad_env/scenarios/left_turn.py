@@ -54,7 +54,7 @@ class LeftTurnConfig:
         slowest = (self.ego_start[1] + 0.5 * ARC) / (SLOW_START * self.ego_speed[0])
         if (slowest + max(self.hazard_timing[1], self.late[0])) * self.collider_speed[1] > ARM:
             raise ValueError(
-                f"ego_speed={self.ego_speed!r}, ego_start={self.ego_start!r} and collider_speed={self.collider_speed!r} "
+                f"ego_speed={self.ego_speed!r}, ego_start={self.ego_start!r}, collider_speed={self.collider_speed!r} "
                 f"ask for a vehicle that starts more than {ARM:g} m away: let the ego start nearer or faster"
             )
 

@@ -1,8 +1,9 @@
-"""The one way this package compiles a function: numba, cached, with a cache that cannot go stale.
+"""The one way this project compiles a function: numba, cached, with a cache that cannot go stale.
 
 Numba's own cache notices a change in the file of a compiled function, but not in the files of the functions
-it calls. Here the cache folder is named after the content of every source file of the package, so any edit
-anywhere starts a new cache. It lives in the user's cache folder, so a read-only installation works.
+it calls. Here the cache folder is named after the content of every source file of the function's package and of
+this one, so any edit anywhere starts a new cache. It lives in the user's cache folder, so a read-only installation
+works.
 """
 
 import hashlib
@@ -26,13 +27,16 @@ def compiled(function: Function) -> Function:
 
 
 def compiled_part(function: Function) -> Function:
-    """As `compiled`, for a function that only compiled ones call: without a way in from Python it compiles faster."""
+    """As `compiled`, without a way in from Python, which compiles faster. Only compiled functions may call the result.
+
+    Called from Python it ends the process: numba does not check.
+    """
     return _compiled(function, from_python=False)
 
 
 def _compiled(function: Function, from_python: bool) -> Function:
     before = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder())
+    numba_config.CACHE_DIR = str(cache_folder(_package(function)))
     try:
         # error_model="numpy": a division by zero gives inf as in numpy, and the check costs nothing.
         compiler = numba.njit(  # type: ignore[call-overload]  # the last two are not in numba's stubs
@@ -46,16 +50,24 @@ def _compiled(function: Function, from_python: bool) -> Function:
 @cache
 def announce_compilation(function: str) -> None:
     """Say once on stderr that the machine code of `module.function` is yet to be made, which takes a while."""
-    if not numba_config.DISABLE_JIT and next(cache_folder().rglob(f"{function}-*.nbi"), None) is None:
+    here = cache_folder(Path(__file__).parent)
+    if not numba_config.DISABLE_JIT and next(here.rglob(f"{function}-*.nbi"), None) is None:
         print("cad_env: compiling the simulation for this machine, about half a minute, once", file=sys.stderr)
 
 
+def _package(function: Callable[..., Any]) -> Path:
+    """The folder of the top-level package, or of the single module, that a function is from."""
+    source = sys.modules[function.__module__.partition(".")[0]].__file__
+    return Path(source).parent if source else Path(__file__).parent
+
+
 @cache
-def cache_folder() -> Path:
-    """The folder of machine code that belongs to exactly this version of the sources."""
+def cache_folder(package: Path = Path(__file__).parent) -> Path:
+    """The folder of machine code that belongs to exactly this version of the sources in `package` and here."""
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(source.read_bytes())
+    for folder in sorted({package, Path(__file__).parent}):
+        for source in sorted(folder.rglob("*.py")):
+            digest.update(source.read_bytes())
     name = digest.hexdigest()[:16]
     for parent in _candidate_parents():
         folder = parent / "cad-env" / name

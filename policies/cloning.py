@@ -15,6 +15,7 @@ from cad_env.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints
 from policies.demonstrations import Frames
 from policies.driver import LearnedPolicy
+from policies.fused import fused_logits
 from policies.stgraph import StGraphNet
 
 
@@ -59,7 +60,9 @@ def fit(
             group["lr"] = recipe.learning_rate * (0.55 + 0.45 * math.cos(math.pi * step / total))
         chosen = next(batches)
         seen = {name: torch.from_numpy(value) for name, value in frames.batch(chosen).items()}
-        loss = torch.nn.functional.cross_entropy(network(seen), torch.from_numpy(frames.label[chosen]).long())
+        loss = torch.nn.functional.cross_entropy(
+            fused_logits(network, seen), torch.from_numpy(frames.label[chosen]).long()
+        )
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -10,18 +10,20 @@ import torch
 from numpy.typing import NDArray
 
 from cad_env.config import check_range
-from cad_env.types import Ints, Observation
+from cad_env.types import Floats, Ints, Observation
+from policies.fused import FusedNet, supports
 from policies.saved import load_model
 from policies.stgraph import StGraphNet
 
-_AT_ONCE = 256  # graphs in one pass, which bounds the memory of a large batch
+_AT_ONCE = 256  # graphs in one dense pass, which bounds the memory of a large batch
 
 
 class LearnedPolicy:
     """Brakes when the network's P(brake) reaches the threshold; decides each scene by itself, alone or in a batch.
 
-    It computes in double precision: how a sum is ordered depends on the size of the batch, and in single precision
-    that could turn a decision near the threshold, and with it an episode.
+    It computes in double precision, and fused where it can, which gives the same bits in any batch. Dense, the order
+    of a sum depends on the size of the batch, and in single precision that could turn a decision near the threshold,
+    and with it an episode.
     """
 
     privileged = False
@@ -29,7 +31,7 @@ class LearnedPolicy:
     def __init__(self, network: StGraphNet, threshold: float = 0.5) -> None:
         check_range("threshold", threshold, 0.0, 1.0)
         self.threshold = threshold
-        self._network = copy.deepcopy(network).double().eval().requires_grad_(False)
+        self._logits = FusedNet(network) if supports(network.config) else _DenseNet(network)
         config = network.config
         self._keys = ["tracks", "mask", "command"]
         self._keys += ["ego"] * (config.velocity or config.ego_speed) + ["kind"] * config.class_input
@@ -53,13 +55,22 @@ class LearnedPolicy:
 
     def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """P(brake), (n,), for observations stacked along a new first axis."""
-        whole = {key: torch.tensor(observations[key]) for key in self._keys}
+        go, brake = self._logits({key: observations[key] for key in self._keys}).T
+        with np.errstate(over="ignore"):
+            probability: NDArray[np.float64] = 1 / (1 + np.exp(go - brake))
+        return probability
+
+
+class _DenseNet:
+    """What `FusedNet` is, for the networks that it does not know; its last bits depend on the batch."""
+
+    def __init__(self, network: StGraphNet) -> None:
+        self._network = copy.deepcopy(network).double().eval().requires_grad_(False)
+
+    def __call__(self, observation: Mapping[str, NDArray[Any]]) -> Floats:
+        """Logits (B, 2)."""
+        whole = {key: torch.tensor(value) for key, value in observation.items()}
         starts = range(0, len(whole["mask"]), _AT_ONCE)
         with torch.inference_mode():
-            parts = [self._probability({k: v[start : start + _AT_ONCE] for k, v in whole.items()}) for start in starts]
-        return np.concatenate(parts) if parts else np.empty(0)
-
-    def _probability(self, observations: dict[str, torch.Tensor]) -> NDArray[np.float64]:
-        go, brake = self._network(observations).unbind(1)
-        probability: NDArray[np.float64] = torch.sigmoid(brake - go).numpy()
-        return probability
+            parts = [self._network({k: v[at : at + _AT_ONCE] for k, v in whole.items()}) for at in starts]
+        return torch.cat(parts).numpy() if parts else np.empty((0, 2))

@@ -50,9 +50,9 @@ class TrainSettings:
 
     def scoring(self) -> Settings:
         """The closed-loop comparison at the end; other episodes or another version of the scenes score anew."""
-        from cad_env.compiled import cache_folder
+        from cad_env.compiled import version
 
-        scores = self.folder() / f"scores_{self.score}_{cache_folder().name[:8]}"
+        scores = self.folder() / f"scores_{self.score}_{version()}"
         return Settings(
             scenario=self.scenario, contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
             jobs=self.jobs, out=scores, radio=self.radio,
@@ -99,8 +99,11 @@ def courses(settings: TrainSettings) -> dict[str, Any]:
 
 def claim(settings: TrainSettings) -> None:
     """Note in the folder what it is for; ValueError if it holds a run of other settings."""
+    from cad_env.compiled import version
+
     folder, path = settings.folder(), settings.folder() / "settings.json"
     wanted = json.loads(json.dumps({name: asdict(course) for name, course in courses(settings).items()}))
+    wanted["shared"]["version of cad_env"] = version()
     if path.exists():
         try:
             found = json.loads(path.read_text())

@@ -15,7 +15,7 @@ from baselines.contenders import MODEL_FILES, contender_named
 from baselines.settings import HAZARDS, Settings
 from baselines.store import Store
 from baselines.workers import prefer_one_thread, workers
-from cad_env.compiled import cache_folder
+from cad_env.compiled import version
 from cad_env.env import CADEnv
 from cad_env.rollout import BatchPolicy, Episode, rollouts
 from cad_env.score import Record, Scorecard, scorecards
@@ -64,7 +64,7 @@ def identity(settings: Settings) -> dict[str, Any]:
         "contender": list(settings.contender),
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
         **{f"model of {name}": _digest(settings.models() / model) for name, model in models.items() if model},
-        "version of cad_env": cache_folder().name,
+        "version of cad_env": version(),
     }
 
 

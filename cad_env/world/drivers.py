@@ -1,8 +1,8 @@
 """Who presses the pedals: the Intelligent Driver Model on bumper gaps, red lights, and the GO/BRAKE command.
 
 IDM: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
-simulations", Phys. Rev. E 62 (2000). Gaps are measured from bumper to bumper and a leader is whoever's body is
-in the way on the own route, so that a long or turned truck is seen as long and turned as it is.
+simulations", Phys. Rev. E 62 (2000). Gaps are measured from bumper to bumper and a leader is whoever's route
+runs along the own one, so that a truck is seen as long as it is.
 """
 
 import math

@@ -150,7 +150,9 @@ class CADEnv(AbstractEnv):
     def render(self) -> Any:
         """An image (H, W, 3) uint8 in mode rgb_array; a window in mode human."""
         if self.render_mode is None:
-            gym.logger.warn(f"nothing is rendered without a render_mode: choose one of {', '.join(RENDER_MODES)}")
+            gym.logger.warn(
+                f"render() was called without specifying any render mode: choose one of {', '.join(RENDER_MODES)}"
+            )
             return None
         if self.viewer is None:
             self.viewer = NorthUpViewer(self)

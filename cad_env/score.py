@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass, fields
 
 from scipy.stats import binomtest
 
+from cad_env.types import STEP
+
 OUTCOMES = ("success", "collision", "timeout")
 KINDS = ("all", "yes", "no")
 
@@ -162,7 +164,7 @@ def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
         *needless,
         total / messages if messages else None,
         max((record.bytes_per_message_max for record in records if record.bytes_per_message_max), default=None),
-        total / time if time else 0.0, messages, sum(record.messages_lost for record in records),
+        total / time if time >= STEP else 0.0, messages, sum(record.messages_lost for record in records),
         min((record.min_ttc for record in records if record.min_ttc is not None), default=None),
     )  # fmt: skip
 

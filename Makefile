@@ -2,7 +2,7 @@
 VENV ?= .venv
 RUN := $(VENV)/bin
 
-.PHONY: install test slow lint format types train evaluate bench
+.PHONY: install test slow lint format types train evaluate bench weights
 
 install:
 	python3 -m venv $(VENV)
@@ -34,3 +34,11 @@ evaluate:
 
 bench:
 	$(RUN)/python benchmarks/speed.py
+
+# The models that ship with the package: those of the main job, without its data and checkpoints.
+weights:
+	$(RUN)/python train.py --score 0
+	for name in shared own; do \
+	  mkdir -p policies/weights/left_turn/$$name && \
+	  cp runs/left_turn/$$name/model.safetensors runs/left_turn/$$name/config.json policies/weights/left_turn/$$name/; \
+	done

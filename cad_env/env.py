@@ -25,7 +25,8 @@ class CADEnv(AbstractEnv):
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
     dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `traffic` (dict of the scenario's
-    ranges). The reward of a step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
+    ranges), `object_lists` (True adds to info what each connected vehicle tracks). The reward of a step is the share
+    of the way to the goal covered in it, +1 on arrival, -1 on a collision.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})
@@ -38,7 +39,7 @@ class CADEnv(AbstractEnv):
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
-        check_names("option", options, [*_SETUP, "config", "render_mode"])
+        check_names("option", options, [*_SETUP, "object_lists", "config", "render_mode"])
         self.viewer: NorthUpViewer | None = None
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
 
@@ -56,6 +57,7 @@ class CADEnv(AbstractEnv):
             "centering_position": [0.5, 0.5],
             "scaling": 6.0,
             "scenario": "left_turn",
+            "object_lists": False,  # True: info holds what each connected vehicle tracks by itself
         }
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
@@ -124,6 +126,7 @@ class CADEnv(AbstractEnv):
     def _info(self, *_: Any) -> dict[str, Any]:
         simulation = self.simulation
         outcome = simulation.outcome()
+        asked = {"object_lists": self.object_lists()} if self.config["object_lists"] else {}
         return {
             "seed": simulation.seed,
             "hazard": simulation.scene.hazard,
@@ -133,6 +136,7 @@ class CADEnv(AbstractEnv):
             "is_success": outcome == SUCCESS,
             "min_ttc": simulation.min_ttc,
             **simulation.traffic_on_air(),
+            **asked,
         }
 
     def truth(self) -> Truth:
@@ -157,10 +161,6 @@ class CADEnv(AbstractEnv):
         if self.viewer is None:
             self.viewer = NorthUpViewer(self)
         return super().render()
-
-    def close(self) -> None:
-        """Close the window, if there is one. The environment can be reset again."""
-        super().close()
 
 
 def checked_hazard(hazard: Any) -> bool | None:

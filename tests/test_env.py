@@ -362,3 +362,10 @@ def test_a_reset_can_change_settings():
     *_, info = env.step(GO)
     assert info["bytes_sent"] == 0
     assert env.config["radio"] == "none"
+
+
+def test_object_lists_are_in_info_when_asked_for():
+    env = CADEnv(object_lists=True)
+    _, info = env.reset(seed=2)
+    assert len(info["object_lists"]) == len(env.simulation.agents)
+    assert "object_lists" not in CADEnv().reset(seed=2)[1]

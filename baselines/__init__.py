@@ -1,0 +1,1 @@
+"""Whom to compare with: the contenders, and closed-loop scoring that survives an interruption."""

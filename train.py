@@ -17,6 +17,7 @@ from typing import Any
 
 from baselines.settings import Settings
 from cad_env.config import check_range, radio_config
+from cad_env.files import replace_file
 from evaluate import parsed, refused, scored, stopped
 
 SCORED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
@@ -36,7 +37,7 @@ class TrainSettings:
     seed: int = 0  # of the networks and of everything drawn while training
     score: int = 300  # episodes per contender at the end; 0 trains only
     jobs: int = 2  # processes
-    velocity: bool = False  # a departure from the paper: nodes carry their velocity (see docs/results.md)
+    velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
 
     def __post_init__(self) -> None:
         if radio_config(self.radio).budget == 0.0:
@@ -113,9 +114,7 @@ def claim(settings: TrainSettings) -> None:
             raise ValueError(f"{folder} holds a run with {_difference(found, wanted)}: use another --out or delete it")
         return
     folder.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(wanted, indent=2) + "\n")
-    temporary.replace(path)
+    replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
 
 
 def _difference(found: Any, wanted: Mapping[str, Any]) -> str:

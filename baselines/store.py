@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from cad_env.files import replace_file
 from cad_env.score import Record, Scorecard, parse_record
 
 EPISODES, SETTINGS, SCORES = "episodes.jsonl", "settings.json", "scores.json"
@@ -36,16 +37,16 @@ class Store:
 
     def finish(self, records: Iterable[Record], scores: Iterable[Scorecard]) -> None:
         """Put the episodes in their order and write the scores."""
-        replace_file(self.folder / EPISODES, "".join(record.line() + "\n" for record in records))
+        replace_file(self.folder / EPISODES, "".join(record.line() + "\n" for record in records).encode())
         rows = ",\n".join(json.dumps(vars(row), allow_nan=False) for row in scores)
-        replace_file(self.folder / SCORES, f"[\n{rows}\n]\n")
+        replace_file(self.folder / SCORES, f"[\n{rows}\n]\n".encode())
 
     def _agree_on(self, settings: Mapping[str, Any]) -> None:
         path = self.folder / SETTINGS
         if not path.exists():
             if (self.folder / EPISODES).exists():
                 raise ValueError(f"{self.folder} has episodes but no {SETTINGS}: use another folder")
-            replace_file(path, json.dumps(settings, indent=2) + "\n")
+            replace_file(path, (json.dumps(settings, indent=2) + "\n").encode())
             return
         try:
             before = json.loads(path.read_text())
@@ -74,16 +75,6 @@ class Store:
             except ValueError as error:
                 raise ValueError(f"{path} line {number}: {error}") from None
         return records
-
-
-def replace_file(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    beside = path.with_name(f".{path.name}.new")
-    with open(beside, "w", encoding="utf-8", newline="\n") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
 
 
 def _brief(value: object) -> str:

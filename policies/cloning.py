@@ -8,14 +8,17 @@ from pathlib import Path
 import numpy as np
 import safetensors.torch
 import torch
+from safetensors import SafetensorError
 from torch import Tensor
 
 from cad_env.env import CADEnv
+from cad_env.files import replace_file
 from cad_env.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints
 from policies.demonstrations import Frames
 from policies.driver import LearnedPolicy
 from policies.fused import fused_logits
+from policies.saved import ModelError
 from policies.stgraph import StGraphNet
 
 
@@ -109,18 +112,21 @@ def save_state(path: Path, network: StGraphNet, optimiser: torch.optim.Adam) -> 
     for index, state in optimiser.state_dict()["state"].items():
         tensors |= {f"adam.{index}.{name}": value for name, value in state.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    safetensors.torch.save_file(tensors, temporary)
-    temporary.replace(path)
+    replace_file(path, safetensors.torch.save(tensors))
 
 
 def load_state(path: Path, network: StGraphNet, optimiser: torch.optim.Adam) -> None:
-    """The counterpart of `save_state`."""
-    tensors = safetensors.torch.load_file(path)
-    network.load_state_dict({n.removeprefix("network."): v for n, v in tensors.items() if n.startswith("network.")})
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, value in tensors.items():
-        if name.startswith("adam."):
-            _, index, key = name.split(".")
-            state.setdefault(int(index), {})[key] = value
-    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+    """The counterpart of `save_state`; ModelError for a file that is damaged or of another network."""
+    try:
+        tensors = safetensors.torch.load(path.read_bytes())
+        network.load_state_dict({n.removeprefix("network."): v for n, v in tensors.items() if n.startswith("network.")})
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, value in tensors.items():
+            if name.startswith("adam."):
+                _, index, key = name.split(".")
+                state.setdefault(int(index), {})[key] = value
+        optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+    except (SafetensorError, ValueError, KeyError, RuntimeError) as error:
+        raise ModelError(
+            path, f"not a checkpoint of this network ({error}): delete it to train that part anew"
+        ) from None

@@ -4,8 +4,8 @@ A frame keeps only the nodes of its graph and not the padded window, so 10^5 fra
 drives, the label is the expert's: recording a learned driver gives the data of a DAgger round.
 """
 
+import io
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cad_env.env import CADEnv
+from cad_env.files import replace_file
 from cad_env.planner import Expert
 from cad_env.rollout import rollouts
 from cad_env.types import FRAMES, OBSERVED_TRACKS, Floats, Ints, Observation, Policy
@@ -125,13 +126,10 @@ def _drive(envs: Sequence[CADEnv], driver: Policy, expert: Expert, seeds: Sequen
 
 def write_shard(path: Path, frames: Frames) -> None:
     """Write a shard whole or not at all."""
-    temporary = path.with_name(path.name + ".tmp")
     meta = json.dumps({"format": FORMAT, "frames": len(frames)})
-    with temporary.open("wb") as file:
-        np.savez_compressed(file, meta=np.array(meta), **{name: getattr(frames, name) for name in _ARRAYS})
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    archive = io.BytesIO()
+    np.savez_compressed(archive, meta=np.array(meta), **{name: getattr(frames, name) for name in _ARRAYS})
+    replace_file(path, archive.getvalue())
 
 
 def read_shard(path: Path) -> Frames:

@@ -6,8 +6,6 @@ whatever the training wants to remember.
 
 import hashlib
 import json
-import os
-import tempfile
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from safetensors import SafetensorError
 from torch import Tensor
 
 from cad_env.config import check_range
+from cad_env.files import replace_file
 from policies.stgraph import StGraphConfig, StGraphNet
 
 FORMAT = 1
@@ -29,7 +28,10 @@ class ModelError(ValueError):
     """A model folder that cannot be trusted; one line with the file and the reason."""
 
     def __init__(self, path: Path, reason: object) -> None:
-        super().__init__(" ".join(f"{path}: {reason}".split()))
+        super().__init__(path, str(reason))  # as they came: a worker process hands the error on by its arguments
+
+    def __str__(self) -> str:
+        return " ".join(f"{self.args[0]}: {self.args[1]}".split())
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ def save_model(folder: str | Path, model: SavedModel) -> None:
     except (TypeError, ValueError) as error:
         raise ModelError(folder / CONFIG, error) from None
     folder.mkdir(parents=True, exist_ok=True)
-    _replace(folder / WEIGHTS, data)
-    _replace(folder / CONFIG, text.encode())
+    replace_file(folder / WEIGHTS, data)
+    replace_file(folder / CONFIG, text.encode())
 
 
 def load_model(folder: str | Path) -> SavedModel:
@@ -77,20 +79,6 @@ def load_model(folder: str | Path) -> SavedModel:
     network = _network(folder / CONFIG, config["network"])
     network.load_state_dict(_weights(folder / WEIGHTS, data, network.state_dict()))
     return SavedModel(network.eval(), float(config["threshold"]), config["training"])
-
-
-def _replace(path: Path, data: bytes) -> None:
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)  # mkstemp lets nobody else read
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
 
 
 def _read(path: Path) -> bytes:

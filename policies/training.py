@@ -5,9 +5,9 @@ its chance from (seed, stage), so stopping and going on changes nothing.
 """
 
 import csv
+import io
 import json
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,9 @@ import torch
 
 from cad_env.config import check_range, radio_config
 from cad_env.env import CADEnv
+from cad_env.files import replace_file
 from cad_env.planner import Expert
-from policies.cloning import Recipe, drive, fit, load_state, save_state, worth
+from policies.cloning import Recipe, Worth, drive, fit, load_state, save_state, worth
 from policies.demonstrations import Frames, join, record
 from policies.driver import LearnedPolicy
 from policies.saved import SavedModel, load_model, save_model
@@ -162,15 +163,19 @@ def _keep_best(
     optimiser = torch.optim.Adam(network.parameters())
     seeds = range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation)
     finals = []
-    for row in sorted(log.rows, key=lambda row: (row["failures"], row["mean_time"]))[:FINALISTS]:
+    for row in sorted(log.rows, key=_worth_of)[:FINALISTS]:
         load_state(_checkpoint(folder, int(row["round"]), int(row["segment"])), network, optimiser)
         for threshold in course.thresholds:
             found = _validated(network, threshold, envs, seeds, advance)
             finals.append({"round": row["round"], "segment": row["segment"], "threshold": threshold, **found})
-    best = min(finals, key=lambda row: (row["failures"], row["mean_time"]))
+    best = min(finals, key=_worth_of)
     load_state(_checkpoint(folder, int(best["round"]), int(best["segment"])), network, optimiser)
     notes = {"course": json.loads(json.dumps(asdict(course))), "chosen": best, "finalists": finals}
     save_model(folder, SavedModel(network, best["threshold"], notes))
+
+
+def _worth_of(row: Mapping[str, Any]) -> Worth:
+    return Worth(row["failures"], row["mean_time"])
 
 
 def _checkpoint(folder: Path, turn: int, segment: int) -> Path:
@@ -209,9 +214,8 @@ class _Log:
                     continue
 
     def _write(self) -> None:
-        temporary = self.path.with_suffix(".tmp")
-        with temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(file, self.COLUMNS)
-            writer.writeheader()
-            writer.writerows(self.rows)
-        os.replace(temporary, self.path)
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, self.COLUMNS)
+        writer.writeheader()
+        writer.writerows(self.rows)
+        replace_file(self.path, text.getvalue().encode())

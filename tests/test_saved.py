@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import pickle
 from pathlib import Path
 
 import pytest
@@ -186,3 +187,9 @@ def test_weights_that_are_not_finite_are_not_saved(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="not finite"):
         save_model(tmp_path, SavedModel(network, 0.5))
     assert not list(tmp_path.iterdir())
+
+
+def test_an_error_comes_whole_out_of_another_process():
+    error = pickle.loads(pickle.dumps(ModelError(Path("run") / "config.json", "not JSON:\n line 1")))
+    assert str(error) == str(ModelError(Path("run") / "config.json", "not JSON:\n line 1"))
+    assert str(error) == f"{Path('run') / 'config.json'}: not JSON: line 1"

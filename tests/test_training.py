@@ -12,7 +12,7 @@ from cad_env.planner import Expert
 from cad_env.types import BRAKE
 from policies.cloning import Recipe, Worth, balanced, fit, load_state, save_state
 from policies.demonstrations import Frames, record
-from policies.saved import load_model
+from policies.saved import ModelError, load_model
 from policies.stgraph import StGraphNet
 from policies.training import Course, train
 
@@ -116,3 +116,16 @@ def test_metrics_have_a_row_for_every_checkpoint_and_survive_a_torn_line(tmp_pat
 def test_an_impossible_course_is_refused_with_the_name_and_the_value(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"{name}.*{value}"):
         Course(**{name: value})  # type: ignore[arg-type]
+
+
+def test_a_damaged_checkpoint_is_refused_with_its_name(tmp_path: Path) -> None:
+    network = StGraphNet(seed=0)
+    optimiser = torch.optim.Adam(network.parameters())
+    path = tmp_path / "state.safetensors"
+    save_state(path, network, optimiser)
+    whole = path.read_bytes()
+    for broken in (b"", whole[:100], whole[:-4], b"not safetensors"):
+        path.write_bytes(broken)
+        with pytest.raises(ModelError, match=r"state\.safetensors: not a checkpoint") as error:
+            load_state(path, network, optimiser)
+        assert "\n" not in str(error.value)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
@@ -17,6 +18,7 @@ from cad_env.types import BRAKE, GO, Floats, Observation
 from cad_env.views import NorthUpViewer, WorldRoad
 
 RENDER_MODES = ("human", "rgb_array")
+FINAL_REWARD: Mapping[str | None, float] = MappingProxyType({SUCCESS: 1.0, COLLISION: -1.0})
 _SETUP = ("scenario", "traffic", "sensor", "radio", "depth")
 
 
@@ -37,8 +39,7 @@ class CADEnv(AbstractEnv):
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012  Gymnasium's own form
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
+        check_render_mode(render_mode)
         check_names("option", options, [*_SETUP, "object_lists", "config", "render_mode"])
         self.viewer: NorthUpViewer | None = None
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
@@ -121,7 +122,7 @@ class CADEnv(AbstractEnv):
     def _reward(self, action: int) -> float:
         progress = float(self.simulation.world.progress[0])
         covered, self._progress = progress - self._progress, progress
-        return covered / self._way + {SUCCESS: 1.0, COLLISION: -1.0}.get(self.simulation.outcome() or "", 0.0)
+        return covered / self._way + FINAL_REWARD.get(self.simulation.outcome(), 0.0)
 
     def _info(self, *_: Any) -> dict[str, Any]:
         simulation = self.simulation
@@ -161,6 +162,12 @@ class CADEnv(AbstractEnv):
         if self.viewer is None:
             self.viewer = NorthUpViewer(self)
         return super().render()
+
+
+def check_render_mode(render_mode: str | None) -> None:
+    """Refuse a mode that does not exist with a one-line ValueError."""
+    if render_mode is not None and render_mode not in RENDER_MODES:
+        raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
 
 
 def checked_hazard(hazard: Any) -> bool | None:

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from cad_env.env import RENDER_MODES, CADEnv, checked_action, checked_hazard
+from cad_env.env import FINAL_REWARD, RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
 from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
 from cad_env.scenarios import SCENARIOS
@@ -30,8 +30,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
     metadata = {"name": "cad_v0", "render_modes": list(RENDER_MODES), "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
+        check_render_mode(render_mode)
         traffic = options.pop("traffic", {})
         if isinstance(traffic, Mapping):
             traffic = {"collaborators": COLLABORATORS, **traffic}
@@ -100,8 +99,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         progress = self.simulation.world.progress[self.simulation.agents]
         share = (progress - self._progress) / np.maximum(self._way, 1.0)
         self._progress = progress.copy()
-        final = {SUCCESS: 1.0, COLLISION: -1.0}
-        return {a: float(share[self._index(a)]) + final.get(outcome or "", 0.0) for a, outcome in outcomes.items()}
+        return {a: float(share[self._index(a)]) + FINAL_REWARD.get(outcome, 0.0) for a, outcome in outcomes.items()}
 
     def _info(self, index: int) -> dict[str, Any]:
         simulation, air = self.simulation, self.simulation.fleet.report

@@ -38,7 +38,7 @@ class Record:
     time: float  # s until the outcome
     brakes: int  # decisions to brake
     bytes_per_message_mean: float | None  # over all connected vehicles, None if nothing was sent
-    bytes_per_message_max: int | None  # of the messages that had been sent when the ego decided for the last time
+    bytes_per_message_max: int | None  # of the largest
     messages_sent: int  # by all connected vehicles
     messages_lost: int  # on their way to the ego
     bytes_total: int  # sent by all connected vehicles

@@ -113,8 +113,7 @@ class Simulation:
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on."""
-        fleet = self.fleet
-        return as_observation(type(fleet.views)(*(part[agent] for part in fleet.views)))
+        return as_observation(_at(self.fleet.views, agent))
 
     def outcome(self, agent: int = 0) -> str | None:
         """success, collision, timeout, or None while the episode of this agent goes on."""

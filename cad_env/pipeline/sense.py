@@ -8,7 +8,7 @@ import numpy as np
 from cad_env.chance import normals_and_uniform
 from cad_env.compiled import compiled
 from cad_env.config import SensorConfig
-from cad_env.types import ROWS, TRUCK, Bools, Detections, Floats, Ints
+from cad_env.types import ROWS, STEP, TRUCK, Bools, Detections, Floats, Ints
 from cad_env.world.geometry import box_hides
 from cad_env.world.state import OFF, World
 
@@ -122,4 +122,4 @@ def detect(world: World, observer: int, config: SensorConfig, key: Ints, step: i
     fix_pose(world, observer, sensor, key, step, pose)
     visible = np.zeros(len(world.heading), np.bool_)
     found = sense(world, observer, sensor, key, step, pose, position, kind, visible)
-    return Detections(step * 0.1, position[:found].copy(), kind[:found].copy())
+    return Detections(step * STEP, position[:found].copy(), kind[:found].copy())

@@ -145,7 +145,7 @@ class Stages:
 
 def _live_scene(seed: int) -> tuple[Any, ...]:
     """What the stages work on, some seconds into an episode."""
-    simulation = Simulation(setup_from({"traffic": {"collaborators": (3, 3)}}))
+    simulation = Simulation(setup_from({"ranges": {"collaborators": (3, 3)}}))
     simulation.start(seed, receivers=1)
     for _ in range(AGE):
         simulation.step(np.zeros(4, np.int64))

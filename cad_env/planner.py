@@ -61,9 +61,7 @@ class PlannerConfig:
     @property
     def rule(self) -> Rule:
         """The compiled code's view."""
-        return Rule(
-            float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin), float(self.gate)
-        )
+        return Rule(float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin), float(self.gate))
 
 
 @dataclass(frozen=True)

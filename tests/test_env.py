@@ -20,7 +20,7 @@ from cad_env.world.state import OFF
 HAZARDS = range(1_000_000, 1_000_005)
 INFO = {
     "seed", "hazard", "speed", "crashed", "outcome", "is_success", "min_ttc", "bytes_sent", "bytes_received",
-    "largest_message", "messages_sent", "messages_lost", "refused",
+    "largest_message", "messages_sent", "messages_lost", "refused", "hazard_timing",
 }  # fmt: skip
 
 
@@ -248,7 +248,7 @@ def test_two_environments_in_one_process_leave_each_other_alone():
         return seen
 
     alone = drive(CADEnv(), None)
-    other = CADEnv(radio="none", sensor={"noise": 3.0}, traffic={"ego_speed": (12.0, 12.0)})
+    other = CADEnv(radio="none", sensor={"noise": 3.0}, ranges={"ego_speed": (12.0, 12.0)})
     other.reset(seed=5)
     assert drive(CADEnv(), other) == alone
 
@@ -304,8 +304,9 @@ WRONG = [
     ({"sensor": {"rnage": 1.0}}, "unknown sensor setting rnage=1.0: choose among gnss_noise, gnss_yaw_noise"),
     ({"sensor": {"miss": -0.1}}, "sensor miss must be a number from 0 to 1, got -0.1"),
     ({"sensor": 80.0}, "sensor must be a SensorConfig or a dict of its settings, got 80.0"),
-    ({"traffic": {"ego_sped": 1}}, "unknown left_turn parameter ego_sped=1: choose among"),
-    ({"traffic": "heavy"}, "traffic must be a dict of the scenario's ranges, got 'heavy'"),
+    ({"ranges": {"ego_sped": 1}}, "unknown left_turn range ego_sped=1: choose among"),
+    ({"traffic": "heavy"}, "traffic must be one of none, light, dense, got 'heavy'"),
+    ({"penetration": 2}, "penetration must be a number from 0 to 1, got 2"),
     ({"depth": 0}, "depth must be a number from 1 to 15, got 0"),
     ({"depth": 16}, "depth must be a number from 1 to 15, got 16"),
     ({"depth": 2.5}, "depth must be a whole number, got 2.5"),

@@ -142,7 +142,11 @@ OVERTAKING = Scenario(
     ranges=OvertakingRanges,
     network=two_way_network,
     plans=(
-        _plan("overtake", (_FOLLOW, _OUT, _OUT, _FOLLOW, _IN, _FOLLOW), (LEAVE + ACROSS - WEST, RETURN + SWING - ACROSS - WEST)),
+        _plan(
+            "overtake",
+            (_FOLLOW, _OUT, _OUT, _FOLLOW, _IN, _FOLLOW),
+            (LEAVE + ACROSS - WEST, RETURN + SWING - ACROSS - WEST),
+        ),
         _plan("east", (_FOLLOW,) * 4),
         _plan("oncoming", (_FOLLOW,)),
     ),

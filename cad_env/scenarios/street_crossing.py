@@ -10,6 +10,7 @@ from cad_env.scenarios.scenario import Groups, Map, Scenario
 from cad_env.scenarios.scene import EGO, OCCLUDER, Cast, Placement
 from cad_env.scenarios.vehicles import car_body, queue, queue_behind, stream, time_to
 from cad_env.types import CAR, TRUCK
+from cad_env.world.drivers import COMFORTABLE_BRAKING, MIN_GAP
 from cad_env.world.state import IDM, OFF, SCRIPTED, STANDING
 
 LINE = ARM - STOP_LINE  # m along every route to its stop line
@@ -22,10 +23,10 @@ class StreetCrossingRanges(Ranges):
     """Every range the cast is drawn from; docs/scenarios.md says where each comes from."""
 
     ego_speed: Range = span(9.5, 12.0, within=(1.0, 20.0))  # m/s it wants to cross at
-    ego_start: Range = span(35.0, 55.0, within=(5.0, 150.0))  # m before its stop line
-    collider_speed: Range = span(13.0, 18.0, within=(1.0, 25.0))  # m/s of the vehicle on the hidden approach
+    ego_start: Range = span(40.0, 58.0, within=(5.0, 150.0))  # m before its stop line
+    collider_speed: Range = span(14.0, 18.5, within=(1.0, 25.0))  # m/s of the vehicle on the hidden approach
     hazard_timing: Range = span(-0.3, 0.3, within=(-2.0, 2.0))  # s it is at the conflict point after an unbraked ego
-    stop_timing: Range = span(-3.0, 0.3, within=(-5.0, 2.0))  # the same of one that stops, if it did not
+    stop_timing: Range = span(-2.0, 0.3, within=(-5.0, 2.0))  # the same of one that stops, if it did not
     late_share: float = share(0.5)  # of those that stop at their red light, the share that brakes visibly late
     late_braking: Range = span(4.5, 6.5, within=(3.0, 8.0))  # m/s2 that stopping takes when such a one begins to
     truck_length: Range = span(8.0, 12.0, within=(4.0, 18.0))  # m, of all trucks in the queue
@@ -82,8 +83,9 @@ def _hidden(
     body = car_body(rng)
     if hazard:
         return Placement(route, start, speed, speed, SCRIPTED, CAR, **body), timing
+    room = 0.5 * speed * speed / COMFORTABLE_BRAKING + MIN_GAP + body["length"]  # m to the line, to stop in good time
     stops = Placement(
-        route, start, speed, speed, OFF if absent else IDM, CAR, stop_at=LINE,
+        route, min(start, LINE - room), speed, speed, OFF if absent else IDM, CAR, stop_at=LINE,
         late_braking=late if brakes_late else 0.0, **body,
     )  # fmt: skip
     return stops, None

@@ -20,6 +20,7 @@ HARDEST_BRAKING = 8.0  # m/s2, dry asphalt
 COMMANDED_BRAKING = 6.0  # m/s2, what BRAKE asks for
 SIDE_MARGIN = 0.3  # m to the side that a driver wants free
 LOOK_AHEAD = 100.0  # m
+SHORT_OF_LINE = 0.5  # m before its line, where a late braker comes to stand
 SLOW = 1.0  # m/s, below which a late braker creeps to its line as anybody does
 
 
@@ -89,7 +90,7 @@ def acceleration_of(world: World, routes: Routes, i: int) -> float:
 def _acceleration_to_line(world: World, i: int, to_line: float) -> float:
     """What a red light asks of vehicle i, whose front is `to_line` m before it, m/s2; inf for nothing yet."""
     speed, late = world.speed[i], world.late_braking[i]
-    needed = 0.5 * speed * speed / max(to_line, 0.1)
+    needed = 0.5 * speed * speed / max(to_line - SHORT_OF_LINE, 0.1)
     if late > 0.0 and speed > SLOW:
         # Braking by no more than is needed keeps what is needed from falling, so whoever has begun goes on.
         return -needed if needed >= late else math.inf

@@ -61,9 +61,7 @@ def test_a_hazard_meets_an_unbraked_ego_and_others_pass_clearly_before_or_after(
             assert not scene.hazard
             continue
         late = arrival_after_the_ego(scene)
-        if (
-            scene.placements[HIDDEN].progress > 1.0
-        ):  # else it starts at the end of its road, and passes a little earlier
+        if scene.placements[HIDDEN].progress > 1.0:  # else it starts at the road's end, and passes earlier
             assert late == pytest.approx(scene.timing, abs=0.15)
         if scene.hazard:
             assert -0.4 < late < 0.4

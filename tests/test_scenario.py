@@ -1,4 +1,4 @@
-"""What holds of every scenario as it is drawn: ranges, hazards, who is connected, traffic that does not crash itself."""
+"""What holds of every scenario as it is drawn: ranges, hazards, who is connected, traffic that does not crash."""
 
 import math
 import re

@@ -83,7 +83,7 @@ class OvertakingRanges(Ranges):
 
 
 def cast(road: Map, ranges: OvertakingRanges, rng: np.random.Generator, hazard: bool) -> Cast:
-    """The ego, the truck, the oncoming vehicle, and two that see past the truck: one parked farther on, one coming by."""
+    """The ego, the truck, the oncoming vehicle, and two that see past the truck: one parked, one coming by."""
     target = rng.uniform(*ranges.ego_speed)
     start = LEAVE - WEST - rng.uniform(*ranges.ego_start)
     ego = Placement(road.route("overtake"), start, target * rng.uniform(SLOW_START, 1.0), target)

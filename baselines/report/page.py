@@ -10,6 +10,8 @@ from baselines.contenders import CONTENDERS
 from baselines.report.plots import Plot
 from cad_env.score import TITLES, Scorecard, cells_of
 
+SAID_ELSEWHERE = ("scenario", "contender", "command", "episodes", "first_seed")
+UNITS = {"sensor_noise": "m", "gnss_noise": "m", "rate": "bit/s", "delay": "s", "range": "m", "depth": "frames"}
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 76rem; margin: 2rem auto;
   padding: 0 1rem }
@@ -22,8 +24,8 @@ figure { margin: 0 0 1rem }
 figcaption, .note { color: #555; font-size: .88rem; max-width: 60rem }
 .wide { overflow-x: auto }
 table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; white-space: nowrap }
-th { text-align: right; vertical-align: bottom; border-bottom: 2px solid #888; padding: .2rem .6rem; font-weight: 600 }
-td { text-align: right; padding: .15rem .6rem }
+th { text-align: right; vertical-align: bottom; border-bottom: 2px solid #888; padding: .2rem .5rem; font-weight: 600 }
+td { text-align: right; padding: .1rem .5rem }
 .text { text-align: left }
 .all td { font-weight: 600; border-top: 1px solid #ccc; padding-top: .35rem }
 .part td { color: #555 }
@@ -32,6 +34,9 @@ dt { color: #555 }
 dd { margin: 0 }
 .pictures { display: flex; flex-wrap: wrap; gap: 1rem }
 """
+INTRODUCTION = """In each episode the ego has to cross the way of a vehicle that it cannot see, and decides ten times a
+second: go or brake. In a hazard that vehicle would hit an ego that does not brake. Connected vehicles send what they
+see over a radio; contenders differ in what they know and in how they decide."""
 LEGEND = """Rates are in per cent with their 95 % Wilson interval. Hazard: all episodes, those with a hazard (yes), or
 without (no). Time: mean until the outcome. Needless brakes: share of the episodes without a hazard in which it brakes
 at all. Bytes: of a message on average, of the largest, and in a second by all connected vehicles together. Min TTC:
@@ -45,6 +50,7 @@ def page(
     title = _title(rows)
     body = [
         f"<h1>{escape(title)}</h1>",
+        f"<p>{INTRODUCTION}</p>",
         _made_with(settings),
         *(_plot(plot) for plot in plots),
         "<h2>All numbers</h2>",
@@ -71,20 +77,19 @@ def _made_with(settings: Mapping[str, Any]) -> str:
     """The command, and everything that the episodes depend on."""
     first, count = settings["first_seed"], settings["episodes"]
     said = {"seeds": f"{first} to {first + count - 1}, the same for every scenario and contender"}
-    hidden = ("scenario", "contender", "command", "episodes", "first_seed")
-    said |= {name.replace("_", " "): _plain(value) for name, value in settings.items() if name not in hidden}
+    said |= {name: _plain(name, value) for name, value in settings.items() if name not in SAID_ELSEWHERE}
     terms = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in said.items())
     return f"<pre>{escape(str(settings.get('command', '')))}</pre>\n<dl>{terms}</dl>"
 
 
-def _plain(value: object) -> str:
+def _plain(name: str, value: object) -> str:
     """
-    >>> _plain({"loss": 0.05, "delay": 0.0})
-    'loss 0.05, delay 0.0'
+    >>> _plain("radio", {"loss": 0.05, "delay": 0.1})
+    'loss 0.05, delay 0.1 s'
     """
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_plain(part)}" for name, part in value.items())
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        return ", ".join(f"{part} {_plain(part, inner)}" for part, inner in value.items())
+    return f"{value} {UNITS[name]}" if name in UNITS else str(value)
 
 
 def _plot(plot: Plot) -> str:
@@ -93,26 +98,30 @@ def _plot(plot: Plot) -> str:
 
 
 def _table(scenario: str, rows: Sequence[Scorecard]) -> str:
-    titles = ("contender", "knows", *TITLES[2:], "bytes/s", "min TTC s")
+    titles = (*TITLES[1:], "bytes/s", "min TTC s")
     head = "".join(f"<th{_kind(k)}>{escape(title)}</th>" for k, title in enumerate(titles))
-    lines = "\n".join(_line(row) for row in rows)
+    lines = "\n".join(_lines(list(group)) for _, group in groupby(rows, lambda row: row.contender))
     return (
         f'<h3>{escape(scenario.replace("_", " ").capitalize())}</h3>\n<div class="wide"><table>\n'
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n{lines}\n</tbody></table></div>"
     )
 
 
-def _line(row: Scorecard) -> str:
-    _, contender, *rest = cells_of(row)
-    known = CONTENDERS.get(contender)
+def _lines(rows: Sequence[Scorecard]) -> str:
+    """The rows of one contender: all episodes under its name, then parts of them beside what it knows."""
+    known = CONTENDERS.get(rows[0].contender)
+    names = (rows[0].contender, known.knows if known else "", *[""] * len(rows))
+    return "\n".join(_line(name, row) for name, row in zip(names, rows, strict=False))
+
+
+def _line(name: str, row: Scorecard) -> str:
     more = f"{row.bytes_per_second:.0f}", "-" if row.min_ttc is None else f"{row.min_ttc:.2f}"
-    cells = (contender, known.knows if known else "-", *rest, *more)
-    inner = "".join(f"<td{_kind(k)}>{escape(cell)}</td>" for k, cell in enumerate(cells))
+    inner = "".join(f"<td{_kind(k)}>{escape(cell)}</td>" for k, cell in enumerate((name, *cells_of(row)[2:], *more)))
     return f'<tr class="{"all" if row.hazard == "all" else "part"}">{inner}</tr>'
 
 
 def _kind(column: int) -> str:
-    return ' class="text"' if column < 3 else ""
+    return ' class="text"' if column < 2 else ""
 
 
 def _pictures(gifs: Mapping[str, bytes], left: int) -> str:

@@ -1,31 +1,25 @@
-"""Scores -> plots: a row of panels, one a scenario. Colour says what a contender knows, shape who decides.
+"""Scores -> plots, every rate with its 95 % Wilson interval."""
 
-The colours are Okabe and Ito's, which people with any common colour blindness tell apart ("Color Universal Design",
-2008); the shapes tell the contenders apart without them.
-"""
-
-import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from baselines.contenders import CONTENDERS, NOTHING, SEEN, SENT, TRUTH
+from baselines.report.figures import (
+    as_svg,
+    colour,
+    contender_legend,
+    knowledge_legend,
+    look,
+    panels,
+    styled,
+)  # fmt: skip
 from cad_env.score import Record, Scorecard, wilson
 
-COLOURS = {NOTHING: "#666666", SEEN: "#D55E00", SENT: "#0072B2", TRUTH: "#009E73"}
-SHAPES = {"always-go": ">", "always-brake": "X", "planner-own": "s", "planner-shared": "s", "expert": "D"}
 BINS = 6  # of the hazard timing
-PANEL = 3.4  # inches, the width of one
-STYLE = {
-    "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True,
-    "grid.color": "#e4e4e4", "axes.edgecolor": "#888888", "xtick.color": "#333333", "ytick.color": "#333333",
-    "svg.hashsalt": "cad-env", "errorbar.capsize": 3.0, "lines.markersize": 6.0,
-}  # fmt: skip
+Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -41,17 +35,19 @@ def plots(rows: Sequence[Scorecard], records: Sequence[Record]) -> list[Plot]:
     """All plots there is something to show in."""
     whole = [row for row in rows if row.hazard == "all"]
     timed = [record for record in records if record.hazard and record.hazard_timing is not None]
-    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]  # its stubs list the keys one by one
-        drawn = [_collisions(whole), _successes(whole), _radio(whole)]
-        return [*drawn, _timing(timed)] if timed else drawn
+    with styled():
+        drawn = [collisions(whole), successes(whole), radio(whole)]
+        return [*drawn, timing(timed)] if timed else drawn
 
 
-def _collisions(rows: Sequence[Scorecard]) -> Plot:
+def collisions(rows: Sequence[Scorecard]) -> Plot:
+    """Collision rate by scenario and contender."""
     svg = _rates(rows, lambda row: (row.collision_rate, row.collision_low, row.collision_high), "collisions")
     return Plot("Collisions", "Share of all episodes that end in a collision, with its 95 % Wilson interval.", svg)
 
 
-def _successes(rows: Sequence[Scorecard]) -> Plot:
+def successes(rows: Sequence[Scorecard]) -> Plot:
+    """Success rate by scenario and contender."""
     svg = _rates(rows, lambda row: (row.success_rate, row.success_low, row.success_high), "successes")
     caption = (
         "Share of all episodes in which the ego arrives, with its 95 % Wilson interval. Who neither arrives nor "
@@ -61,98 +57,93 @@ def _successes(rows: Sequence[Scorecard]) -> Plot:
 
 
 def _rates(rows: Sequence[Scorecard], rate_of: Callable[[Scorecard], tuple[float, float, float]], what: str) -> bytes:
-    names = list(dict.fromkeys(row.contender for row in rows))
-    figure, panels = _panels(rows, 0.9 + 0.27 * len(names))
-    for scenario, axes in panels.items():
+    names, scenarios = _names(rows), _scenarios(rows)
+    figure, (row_of_panels,) = panels(scenarios, 1, 1.4 + 0.27 * len(names))
+    for scenario, axes in row_of_panels.items():
         for row in rows:
             if row.scenario == scenario:
-                rate, low, high = rate_of(row)
-                place = names.index(row.contender)
-                spread = [[100 * (rate - low)], [100 * (high - rate)]]
-                axes.errorbar(100 * rate, place, xerr=spread, clip_on=False, **_look(row.contender))
-                axes.text(104, place, f"{100 * rate:.1f}", va="center", fontsize=8.5, color="#333333")
+                place, (rate, *interval) = names.index(row.contender), rate_of(row)
+                axes.errorbar(
+                    100 * rate, place, xerr=_arms(rate, *interval), clip_on=False, **look(row.contender)
+                )  # fmt: skip
+                axes.text(105, place, f"{100 * rate:.1f}", va="center", fontsize=8.5, color="#333333")
         axes.set(xlim=(0, 100), xlabel=f"{what}, % of episodes", ylim=(len(names) - 0.5, -0.5))
         axes.set_yticks(range(len(names)), names)
         axes.grid(axis="y", visible=False)
-    return _svg(figure)
+    knowledge_legend(figure, names)
+    return as_svg(figure)
 
 
-def _radio(rows: Sequence[Scorecard]) -> Plot:
-    figure, panels = _panels(rows, 3.2)
-    widest = max(row.bytes_per_second for row in rows) / 1000
-    for scenario, axes in panels.items():
+def radio(rows: Sequence[Scorecard]) -> Plot:
+    """Collision rate against the bytes per second of all senders; who sends nothing stands left of zero."""
+    names, scenarios = _names(rows), _scenarios(rows)
+    figure, (row_of_panels,) = panels(scenarios, 1, 3.4)
+    most = max(row.bytes_per_second for row in rows) / 1000 or 1.0
+    silent = [name for name in names if not any(row.bytes_per_second for row in rows if row.contender == name)]
+    zone = 0.07 * most * (len(silent) + 1)
+    for scenario, axes in row_of_panels.items():
         for row in rows:
             if row.scenario == scenario:
-                rate, low, high = (100 * value for value in (row.collision_rate, row.collision_low, row.collision_high))
-                look = _look(row.contender) | {"label": row.contender}
-                axes.errorbar(row.bytes_per_second / 1000, rate, yerr=[[rate - low], [high - rate]], **look)
-        axes.set(xlabel="on the air, kB/s", xlim=(-0.05 * (widest or 1), 1.1 * (widest or 1)), ylim=(-2, 102))
-    _finish(figure, list(panels.values()), "collisions, % of episodes")
+                beside = -zone + 0.07 * most * (silent.index(row.contender) + 1) if row.contender in silent else 0.0
+                interval = _arms(row.collision_rate, row.collision_low, row.collision_high)
+                place = row.bytes_per_second / 1000 + beside
+                axes.errorbar(place, 100 * row.collision_rate, yerr=interval, **look(row.contender))
+        axes.axvspan(-zone, 0.0, color="#f2f2f2", linewidth=0.0, zorder=0)
+        axes.text(-0.5 * zone, 97, "nothing sent", ha="center", va="top", fontsize=8.5, color="#555555")
+        axes.set(xlabel="on the air, kB/s", xlim=(-zone, 1.15 * most), ylim=(-2, 102))
+        axes.set_xticks([tick for tick in axes.get_xticks() if 0.0 <= tick <= 1.15 * most])
+    row_of_panels[scenarios[0]].set_ylabel("collisions, % of episodes")
+    contender_legend(figure, names)
     caption = (
-        "Collisions against all bytes that the connected vehicles of a scene send in a second, together. The expert "
-        "is told the truth without a radio."
+        "Collisions against all bytes that the connected vehicles of a scene send in a second, together. Up is worse, "
+        "right costs more. The expert knows the truth without a radio."
     )
-    return Plot("Safety against bytes on the air", caption, _svg(figure))
+    return Plot("Safety against bytes on the air", caption, as_svg(figure))
 
 
-def _timing(records: Sequence[Record]) -> Plot:
-    figure, panels = _panels(records, 3.2)
-    for scenario, axes in panels.items():
-        chosen = [record for record in records if record.scenario == scenario]
-        times = [record.hazard_timing or 0.0 for record in chosen]
-        edges = np.linspace(min(times), max(max(times), min(times) + 0.1), BINS + 1)
-        names = list(dict.fromkeys(record.contender for record in chosen))
-        for k, name in enumerate(names):
-            own = [record for record in chosen if record.contender == name]
-            beside = (k - 0.5 * (len(names) - 1)) * 0.07 * (edges[1] - edges[0])  # so that intervals stand side by side
-            _timing_line(axes, own, edges, beside, name)
-        axes.set(xlabel="hidden vehicle after an unbraked ego, s", ylim=(-2, 102))
-    _finish(figure, list(panels.values()), "collisions, % of hazards")
+def timing(records: Sequence[Record]) -> Plot:
+    """Collision rate of episodes with a hazard against its timing: a row of panels for each contender."""
+    names, scenarios = _names(records), _scenarios(records)
+    figure, grid = panels(scenarios, len(names), 0.9 + 0.75 * len(names), sharex="col")
+    for name, row_of_panels in zip(names, grid, strict=True):
+        for scenario, axes in row_of_panels.items():
+            here = [record for record in records if record.scenario == scenario]
+            times = np.array([record.hazard_timing for record in here], float)
+            edges = np.linspace(times.min(), max(times.max(), times.min() + 0.1), BINS + 1)
+            _timing_line(axes, [record for record in here if record.contender == name], edges)
+            axes.set(ylim=(-4, 104), yticks=(0, 50, 100))
+        row_of_panels[scenarios[0]].set_ylabel(name, rotation=0, ha="right", va="center", color=colour(name))
+    for axes in grid[-1].values():
+        axes.set_xlabel("hidden vehicle after an unbraked ego, s")
     caption = (
-        f"Collisions in episodes with a hazard, in {BINS} bins of its timing: how much later than the ego, if the ego "
-        "never braked, the hidden vehicle would be where they meet. 95 % Wilson intervals."
+        f"Collisions, per cent of the episodes with a hazard, in {BINS} bins of its timing: how much later than an ego "
+        "that never brakes the hidden vehicle would be where they meet. Shaded: the 95 % Wilson interval."
     )
-    return Plot("Collisions against hazard timing", caption, _svg(figure))
+    return Plot("Collisions against hazard timing", caption, as_svg(figure))
 
 
-def _timing_line(axes: Axes, records: Sequence[Record], edges: np.ndarray[Any, Any], beside: float, name: str) -> None:
-    bins = np.clip(np.digitize([record.hazard_timing or 0.0 for record in records], edges) - 1, 0, BINS - 1)
+def _timing_line(axes: Axes, records: Sequence[Record], edges: Floats) -> None:
+    times = np.array([record.hazard_timing for record in records], float)
+    bins = np.clip(np.digitize(times, edges) - 1, 0, BINS - 1)
     crashed = np.array([record.outcome == "collision" for record in records])
-    places, rates, below, above = [], [], [], []
-    for k in np.unique(bins):
-        count, of = int(crashed[bins == k].sum()), int((bins == k).sum())
-        low, high = wilson(count, of)
-        places.append(0.5 * (edges[k] + edges[k + 1]) + beside)
-        rates.append(100 * count / of)
-        below.append(100 * (count / of - low))
-        above.append(100 * (high - count / of))
-    look = _look(name) | {"linestyle": "-", "linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, "markersize": 4.0}
-    axes.errorbar(places, rates, yerr=[below, above], label=name, **look)
+    filled = np.unique(bins)
+    rates = [100 * crashed[bins == k].mean() for k in filled]
+    low, high = zip(*(wilson(int(crashed[bins == k].sum()), int((bins == k).sum())) for k in filled), strict=True)
+    middle, name = (0.5 * (edges[:-1] + edges[1:]))[filled], records[0].contender
+    axes.fill_between(
+        middle, 100 * np.array(low), 100 * np.array(high), color=colour(name), alpha=0.2, linewidth=0.0
+    )  # fmt: skip
+    axes.plot(middle, rates, **look(name) | {"linestyle": "-", "markersize": 4.5, "clip_on": False})
 
 
-def _look(contender: str) -> dict[str, Any]:
-    known = CONTENDERS.get(contender)
-    colour = COLOURS[known.knows if known else NOTHING]
-    return {"color": colour, "marker": SHAPES.get(contender, "o"), "linestyle": "none", "markeredgecolor": "white"}
+def _arms(rate: float, low: float, high: float) -> list[list[float]]:
+    """What error bars want to know of an interval, in per cent."""
+    return [[100 * (rate - low)], [100 * (high - rate)]]
 
 
-def _panels(of: Iterable[Scorecard | Record], height: float) -> tuple[Figure, dict[str, Axes]]:
-    """A figure with a titled panel for every scenario, in their order."""
-    scenarios = list(dict.fromkeys(one.scenario for one in of))
-    figure = Figure((1.4 + PANEL * len(scenarios), height), layout="constrained")
-    row = figure.subplots(1, len(scenarios), sharey=True, squeeze=False)[0]
-    for scenario, axes in zip(scenarios, row, strict=True):
-        axes.set_title(scenario.replace("_", " "), fontsize=10.5, loc="left")
-    return figure, dict(zip(scenarios, row, strict=True))
+def _names(of: Sequence[Scorecard] | Sequence[Record]) -> list[str]:
+    return list(dict.fromkeys(one.contender for one in of))
 
 
-def _finish(figure: Figure, panels: Sequence[Axes], label: str) -> None:
-    """The label of the shared axis, and one legend for all panels."""
-    panels[0].set_ylabel(label)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
-
-
-def _svg(figure: Figure) -> bytes:
-    data = io.BytesIO()
-    figure.savefig(data, format="svg", metadata={"Date": None})  # the same scores, the same file
-    return data.getvalue()
+def _scenarios(of: Sequence[Scorecard] | Sequence[Record]) -> list[str]:
+    return list(dict.fromkeys(one.scenario for one in of))

@@ -56,7 +56,9 @@ def completed(settings: Settings, store: Store) -> list[Scorecard]:
 
 def identity(settings: Settings) -> dict[str, Any]:
     """All that the episodes depend on: settings, models and the code of the scenes; and the command, as a note."""
-    names = ("episodes", "first_seed", "sensor_noise", "gnss_noise", "hazard", "depth")
+    names = (
+        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "depth",
+    )  # fmt: skip
     models = {name: contender_named(name).model for name in settings.contender}
     return {
         "scenario": list(settings.scenarios()),

@@ -33,6 +33,8 @@ class Settings:
     shard: str | None = None  # i/n: only the i-th of n parts of the run, into <out>/shard_i_of_n
     out: Path = Path("results")  # folder to write to
     report: bool = True  # write report.html
+    traffic: str = "light"  # none, light or dense: how much is on the road around the cast of a scenario
+    penetration: float | None = None  # share of the vehicles that is connected; default: two to four
     radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
     delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own
@@ -73,6 +75,8 @@ class Settings:
             "radio": self.radio_config() if shares else RADIO_PRESETS["none"],
             "sensor": SensorConfig(noise=self.sensor_noise, gnss_noise=self.gnss_noise),
             "depth": self.depth,
+            "traffic": self.traffic,
+            "penetration": self.penetration,
         }
 
     def radio_config(self) -> RadioConfig:

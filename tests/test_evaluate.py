@@ -26,14 +26,14 @@ from policies.stgraph import StGraphNet
 
 torch.set_num_threads(1)
 
-SOME = ["--contender", "always-go", "planner-shared", "--episodes", "3"]
-LONG = ["--contender", "always-brake", "--episodes", "75"]
+SOME = ["--scenario", "left_turn", "--contender", "always-go", "planner-shared", "--episodes", "3"]
+LONG = ["--scenario", "left_turn", "--contender", "always-brake", "--episodes", "75"]
 
 Refused = Callable[..., str]
 
 
 def run(folder: Path, *arguments: str) -> int:
-    return evaluate.main([*arguments, "--out", str(folder)])
+    return evaluate.main([*arguments, "--no-report", "--out", str(folder)])
 
 
 def records(folder: Path) -> list[Record]:
@@ -117,12 +117,12 @@ def test_scores_and_table_come_with_intervals(copy: Path, capsys: pytest.Capture
 
 
 def test_another_program_gets_the_same_rows(done: Path, tmp_path: Path) -> None:
-    rows = score(Settings(contender=("always-go", "planner-shared"), episodes=3, out=tmp_path))
+    rows = score(Settings(scenario=("left_turn",), contender=("always-go", "planner-shared"), episodes=3, out=tmp_path))
     assert [vars(row) for row in rows] == json.loads((done / "scores.json").read_text())
 
 
 def test_two_processes_give_the_files_of_one(models: Path, tmp_path: Path) -> None:
-    some = ["--contender", "stgraph", "expert", "--episodes", "26", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--contender", "stgraph", "expert", "--episodes", "26", "--policy", str(models)]
     assert run(tmp_path / "one", *some) == 0
     assert run(tmp_path / "two", *some, "--jobs", "2") == 0
     assert files(tmp_path / "one") == files(tmp_path / "two")
@@ -130,13 +130,29 @@ def test_two_processes_give_the_files_of_one(models: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("kind", "hazard"), [("yes", True), ("no", False)])
 def test_a_hazard_can_be_forced(kind: str, hazard: bool, tmp_path: Path) -> None:
-    assert run(tmp_path, "--contender", "always-go", "--episodes", "6", "--hazard", kind) == 0
+    assert (
+        run(tmp_path, "--scenario", "left_turn", "--contender", "always-go", "--episodes", "6", "--hazard", kind) == 0
+    )
     assert {record.hazard for record in records(tmp_path)} == {hazard}
     assert {row["hazard"] for row in json.loads((tmp_path / "scores.json").read_text())} == {"all", kind}
 
 
 def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
-    assert run(tmp_path, "--contender", "planner-own", "planner-shared", "--episodes", "4", "--radio", "none") == 0
+    assert (
+        run(
+            tmp_path,
+            "--scenario",
+            "left_turn",
+            "--contender",
+            "planner-own",
+            "planner-shared",
+            "--episodes",
+            "4",
+            "--radio",
+            "none",
+        )
+        == 0
+    )
     own, shared = records(tmp_path)[:4], records(tmp_path)[4:]
     assert [vars(record) | {"contender": ""} for record in own] == [
         vars(record) | {"contender": ""} for record in shared
@@ -144,7 +160,22 @@ def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
 
 
 def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
-    assert run(tmp_path, "--contender", "planner-shared", "--episodes", "3", "--loss", "0.9", "--depth", "1") == 0
+    assert (
+        run(
+            tmp_path,
+            "--scenario",
+            "left_turn",
+            "--contender",
+            "planner-shared",
+            "--episodes",
+            "3",
+            "--loss",
+            "0.9",
+            "--depth",
+            "1",
+        )
+        == 0
+    )
     before = [record for record in records(done) if record.contender == "planner-shared"]
     for few, many in zip(before, records(tmp_path), strict=True):
         assert few.messages_lost < many.messages_lost
@@ -153,7 +184,7 @@ def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
 
 def test_results_go_to_their_own_folder_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert evaluate.main(["--contender", "always-go", "--episodes", "1"]) == 0
+    assert evaluate.main(["--scenario", "left_turn", "--contender", "always-go", "--episodes", "1"]) == 0
     assert (tmp_path / "results" / "scores.json").exists()
 
 
@@ -254,6 +285,8 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
         (["--sensor-noise", "inf"], "sensor noise"),
         (["--gnss-noise", "-1"], "sensor gnss_noise"),
         (["--depth", "16"], "depth must be a number from 1 to 15, got 16"),
+        (["--traffic", "heavy"], "traffic must be one of none, light, dense, got 'heavy'"),
+        (["--penetration", "1.5"], "penetration must be a number from 0 to 1, got 1.5"),
         (["--hazard", "maybe"], "hazard must be one of all, yes, no, got 'maybe'"),
         (["--contender", "stgraph", "--policy", "nowhere"], f"no folder {Path('nowhere', 'shared')}"),
     ],
@@ -293,7 +326,8 @@ def test_help_waits_for_no_heavy_import() -> None:
     [
         (["--episodes", "4"], "episodes"), (["--first-seed", "5"], "first_seed"), (["--radio", "cv2x"], "radio"),
         (["--loss", "0.2"], "radio"), (["--hazard", "yes"], "hazard"), (["--depth", "2"], "depth"),
-        (["--sensor-noise", "0.3"], "sensor_noise"), (["--contender", "expert"], "contender"),
+        (["--sensor-noise", "0.3"], "sensor_noise"), (["--traffic", "none"], "traffic"),
+        (["--penetration", "0.5"], "penetration"), (["--contender", "expert"], "contender"),
     ],
 )  # fmt: skip
 def test_other_settings_in_the_same_folder_are_refused_by_name(
@@ -304,7 +338,7 @@ def test_other_settings_in_the_same_folder_are_refused_by_name(
 
 
 def test_another_model_in_the_same_folder_is_refused(refused: Refused, models: Path, tmp_path: Path) -> None:
-    some = ["--contender", "stgraph", "--episodes", "1", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--contender", "stgraph", "--episodes", "1", "--policy", str(models)]
     assert run(tmp_path / "out", *some) == 0
     save_model(models / "shared", SavedModel(StGraphNet(seed=2), 0.5))
     assert "another model of stgraph (" in refused(tmp_path / "out", *some)
@@ -333,7 +367,7 @@ def test_a_damaged_model_is_refused(
     damage: Callable[[Path], Any], refused: Refused, models: Path, tmp_path: Path
 ) -> None:
     damage(models / "own")
-    some = ["--contender", "always-go", "stgraph-own", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--contender", "always-go", "stgraph-own", "--policy", str(models)]
     assert str(models / "own") in refused(tmp_path / "out", *some)
 
 

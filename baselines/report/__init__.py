@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from baselines.report.page import page
-from baselines.report.plots import plots
+from baselines.report.page import html_page
+from baselines.report.plots import all_plots
 from baselines.store import read_records, read_settings
 from cad_env.files import replace_file
 from cad_env.score import scorecards
@@ -20,7 +20,7 @@ def write_report(folder: Path) -> Path:
     records = read_records(folder)
     rows = scorecards(records)
     path = folder / REPORT
-    replace_file(path, page(read_settings(folder), rows, plots(rows, records), *_animations(folder)).encode())
+    replace_file(path, html_page(read_settings(folder), rows, all_plots(rows, records), *_animations(folder)).encode())
     return path
 
 

@@ -43,7 +43,7 @@ at all. Bytes: of a message on average, of the largest, and in a second by all c
 the smallest time to contact with anybody in any episode."""
 
 
-def page(
+def html_page(
     settings: Mapping[str, Any], rows: Sequence[Scorecard], plots: Sequence[Plot], gifs: Mapping[str, bytes], left: int
 ) -> str:
     """The whole report; `left` animations more are in the folder."""

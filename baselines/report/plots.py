@@ -31,13 +31,17 @@ class Plot:
     svg: bytes
 
 
-def plots(rows: Sequence[Scorecard], records: Sequence[Record]) -> list[Plot]:
+def all_plots(rows: Sequence[Scorecard], records: Sequence[Record]) -> list[Plot]:
     """All plots there is something to show in."""
     whole = [row for row in rows if row.hazard == "all"]
     timed = [record for record in records if record.hazard and record.hazard_timing is not None]
     with styled():
-        drawn = [collisions(whole), successes(whole), radio(whole)]
-        return [*drawn, timing(timed)] if timed else drawn
+        drawn = [collisions(whole), successes(whole)]
+        if any(row.bytes_per_second for row in whole):
+            drawn.append(radio(whole))
+        if timed:
+            drawn.append(timing(timed))
+    return drawn
 
 
 def collisions(rows: Sequence[Scorecard]) -> Plot:
@@ -78,7 +82,7 @@ def radio(rows: Sequence[Scorecard]) -> Plot:
     """Collision rate against the bytes per second of all senders; who sends nothing stands left of zero."""
     names, scenarios = _names(rows), _scenarios(rows)
     figure, (row_of_panels,) = panels(scenarios, 1, 3.4)
-    most = max(row.bytes_per_second for row in rows) / 1000 or 1.0
+    most = max(row.bytes_per_second for row in rows) / 1000
     silent = [name for name in names if not any(row.bytes_per_second for row in rows if row.contender == name)]
     zone = 0.07 * most * (len(silent) + 1)
     for scenario, axes in row_of_panels.items():

@@ -98,7 +98,7 @@ def test_every_contender_and_number_of_the_table_is_on_the_page(folder: Path) ->
 
 def test_the_page_says_what_was_run(folder: Path) -> None:
     text = Page(folder / "report.html").text
-    for said in ("python <evaluate> &", "1000000 to 1000039", "rate 2000000.0 bit/s, loss 0.05", "0123abcd"):
+    for said in ("python <evaluate> &", "1000000 to 1000039", "rate 2 Mbit/s, loss 0.05", "0123abcd"):
         assert said in text
     assert 'a <b> & "c"' in text
 

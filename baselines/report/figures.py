@@ -12,6 +12,7 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from baselines.contenders import CONTENDERS, KNOWLEDGE, NOTHING, SEEN, SENT, TRUTH
@@ -36,7 +37,8 @@ def styled() -> Iterator[None]:
 
 def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -> tuple[Figure, list[dict[str, Axes]]]:
     """A figure of some height (inches) with so many rows of panels, each by scenario; titles over the first."""
-    figure = Figure((1.6 + WIDTHS.get(len(scenarios), WIDTH) * len(scenarios), height), layout="constrained")
+    width = 1.6 + WIDTHS.get(len(scenarios), WIDTH) * len(scenarios)
+    figure = Figure((width, height), layout=ConstrainedLayoutEngine(wspace=0.06))
     grid = figure.subplots(rows, len(scenarios), sharey=True, squeeze=False, **options)
     for scenario, axes in zip(scenarios, grid[0], strict=True):
         axes.set_title(scenario.replace("_", " "), fontsize=10.5, loc="left", fontweight="bold")

@@ -11,7 +11,7 @@ from baselines.report.plots import Plot
 from cad_env.score import TITLES, Scorecard, cells_of
 
 SAID_ELSEWHERE = ("scenario", "contender", "command", "episodes", "first_seed")
-UNITS = {"sensor_noise": "m", "gnss_noise": "m", "rate": "bit/s", "delay": "s", "range": "m", "depth": "frames"}
+UNITS = {"sensor_noise": "m", "gnss_noise": "m", "delay": "s", "range": "m", "depth": "frames"}
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 76rem; margin: 2rem auto;
   padding: 0 1rem }
@@ -23,9 +23,10 @@ img { max-width: 100%; height: auto }
 figure { margin: 0 0 1rem }
 figcaption, .note { color: #555; font-size: .88rem; max-width: 60rem }
 .wide { overflow-x: auto }
-table { border-collapse: collapse; font-size: .85rem; font-variant-numeric: tabular-nums; white-space: nowrap }
-th { text-align: right; vertical-align: bottom; border-bottom: 2px solid #888; padding: .2rem .5rem; font-weight: 600 }
-td { text-align: right; padding: .1rem .5rem }
+table { border-collapse: collapse; font-size: .8rem; font-variant-numeric: tabular-nums; white-space: nowrap }
+th { text-align: right; vertical-align: bottom; border-bottom: 2px solid #888; padding: .2rem .45rem; font-weight: 600;
+  white-space: normal }
+td { text-align: right; padding: .1rem .45rem }
 .text { text-align: left }
 .all td { font-weight: 600; border-top: 1px solid #ccc; padding-top: .35rem }
 .part td { color: #555 }
@@ -84,12 +85,14 @@ def _made_with(settings: Mapping[str, Any]) -> str:
 
 def _plain(name: str, value: object) -> str:
     """
-    >>> _plain("radio", {"loss": 0.05, "delay": 0.1})
-    'loss 0.05, delay 0.1 s'
+    >>> _plain("radio", {"rate": "7200000.0", "delay": "0.1"})
+    'rate 7.2 Mbit/s, delay 0.1 s'
     """
     if isinstance(value, Mapping):
         return ", ".join(f"{part} {_plain(part, inner)}" for part, inner in value.items())
-    return f"{value} {UNITS[name]}" if name in UNITS else str(value)
+    if name == "rate":
+        return f"{float(str(value)) / 1e6:g} Mbit/s"
+    return "default" if value is None else f"{value} {UNITS[name]}" if name in UNITS else str(value)
 
 
 def _plot(plot: Plot) -> str:
@@ -110,7 +113,7 @@ def _table(scenario: str, rows: Sequence[Scorecard]) -> str:
 def _lines(rows: Sequence[Scorecard]) -> str:
     """The rows of one contender: all episodes under its name, then parts of them beside what it knows."""
     known = CONTENDERS.get(rows[0].contender)
-    names = (rows[0].contender, known.knows if known else "", *[""] * len(rows))
+    names = (rows[0].contender, f"knows {known.knows}" if known else "", *[""] * len(rows))
     return "\n".join(_line(name, row) for name, row in zip(names, rows, strict=False))
 
 

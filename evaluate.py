@@ -19,6 +19,7 @@ import tyro
 from baselines.settings import Settings
 
 if TYPE_CHECKING:
+    from baselines.store import Store
     from cad_env.score import Scorecard
 
 INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
@@ -63,7 +64,9 @@ def put_together(words: Sequence[str]) -> int:
     from baselines.merging import Merging, merged  # here, so that --help is quick
 
     merging = parsed(Merging, words)
-    show(merged(merging), merging.out, merging.report)
+    show(merged(merging), merging.out)
+    if merging.report:
+        report(merging.out)
     return 0
 
 
@@ -80,10 +83,11 @@ def scored(settings: Settings) -> int:
     try:
         rows = completed(settings, store)
         if settings.shard is None:
-            show(rows, settings.folder(), settings.report)
+            show(rows, settings.folder())
+            explain(store, settings)
         else:
             print(f"Shard {settings.shard} is in {settings.folder()}. Put all together with python evaluate.py --merge")
-    except OSError as error:
+    except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
         total = sum(len(task.seeds) for task in settings.tasks())
@@ -91,16 +95,31 @@ def scored(settings: Settings) -> int:
     return 0
 
 
-def show(rows: "Sequence[Scorecard]", folder: Path, report: bool) -> None:
-    """Print the table, and write the report."""
+def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
+    """Print the table."""
     from cad_env.score import table
 
     print(table(rows))
     print(f"The episodes and the scores are in {folder}.")
-    if report:
-        from baselines.report import write_report  # here, because only this needs matplotlib
 
-        print(f"The tables and plots to read: {write_report(folder)}")
+
+def explain(store: "Store", settings: Settings) -> None:
+    """Write what helps to understand the scores: animations of episodes, and the report."""
+    if settings.gif:
+        from baselines.gifs import write_gifs
+
+        folder = settings.folder() / "gifs"
+        folder.mkdir(exist_ok=True)
+        write_gifs(settings, store.records.values(), folder, settings.gif)
+    if settings.report:
+        report(settings.folder())
+
+
+def report(folder: Path) -> None:
+    """Write the report."""
+    from baselines.report import write_report  # here, because only this needs matplotlib
+
+    print(f"The tables and plots to read: {write_report(folder)}")
 
 
 def stopped(error: BaseException, where: str = "") -> int:

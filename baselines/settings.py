@@ -12,7 +12,7 @@ from cad_env.types import FRAMES
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL = ("all",)
-HOW = ("jobs", "out", "shard", "report")  # settings that change nothing about an episode
+HOW = ("jobs", "out", "shard", "report", "gif")  # settings that change nothing about an episode
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class Settings:
     shard: str | None = None  # i/n: only the i-th of n parts of the run, into <out>/shard_i_of_n
     out: Path = Path("results")  # folder to write to
     report: bool = True  # write report.html
+    gif: int = 0  # animations of each scenario, contender and outcome, into <out>/gifs and the report
     traffic: str = "light"  # none, light or dense: how much is on the road around the cast of a scenario
     penetration: float | None = None  # share of the vehicles that is connected; default: two to four
     radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
@@ -53,8 +54,11 @@ class Settings:
         check_range("episodes", self.episodes, 1, 10_000_000)
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)
+        check_range("gif", self.gif, 0, 1000)
         if self.shard is not None:
             shard_of(self.shard)
+            if self.gif:
+                raise ValueError("gif is for a whole run: merge the shards first")
         if self.hazard not in HAZARDS:
             raise ValueError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}")
         from cad_env.simulation import setup_from  # here, because highway-env takes a second that --help need not wait

@@ -15,6 +15,7 @@ from cad_env.files import replace_file
 from cad_env.score import Record, Scorecard, parse_record
 
 EPISODES, SETTINGS, SCORES = "episodes.jsonl", "settings.json", "scores.json"
+GIFS = "gifs"  # the folder of animations in a folder of results
 NOTES = ("command",)  # in settings.json: may differ between runs of the same episodes
 
 
@@ -64,6 +65,11 @@ class Store:
 def key_of(record: Record) -> Key:
     """What tells an episode from all others of a run."""
     return record.scenario, record.contender, record.seed
+
+
+def gif_of(folder: Path, record: Record) -> Path:
+    """Where the animation of an episode is, if there is one."""
+    return folder / GIFS / f"{record.scenario}_{record.contender}_{record.outcome}_{record.seed}.gif"
 
 
 def read_settings(folder: Path) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from baselines import report
 from baselines.contenders import CONTENDERS
 from baselines.report import write_report
 from baselines.report.plots import all_plots
+from baselines.store import gif_of
 from cad_env.score import Record, cells_of, scorecards
 
 SCENES = ("left_turn", 'a <b> & "c"')
@@ -145,15 +146,21 @@ def test_silence_needs_no_plot_of_bytes(tmp_path: Path) -> None:
     assert "Safety against bytes on the air" not in Page(written(tmp_path, silent)).images
 
 
-def test_animations_are_in_the_page_as_far_as_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_animations_are_in_the_page_as_far_as_they_fit_the_telling_ones_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "gifs").mkdir()
-    for name in ("a_crash", "b_rescue", "c_wait"):
-        (tmp_path / "gifs" / f"{name}.gif").write_bytes(b"GIF89a" + name.encode())
-    monkeypatch.setattr(report, "ROOM", 30)
-    page = Page(written(tmp_path, few_records()))
-    assert b64decode(page.images["a_crash"].split(",")[1]) == b"GIF89aa_crash"
-    assert "c_wait" not in page.images
-    assert "1 more" in page.text
+    some = some_records(["left_turn"], ["always-go", "expert"])
+    for record in some[3:5] + some[40:60]:
+        gif_of(tmp_path, record).write_bytes(b"GIF89a" + bytes(94))
+    monkeypatch.setattr(report, "ROOM", 450)
+    page = Page(written(tmp_path, some))
+    shown = [name for name, source in page.images.items() if source.startswith("data:image/gif;base64,")]
+    assert [name.partition(", seed")[0] for name in shown[:3]] == [
+        f"left turn, expert: {outcome}" for outcome in ("collision", "success", "timeout")
+    ]
+    assert len(shown) == 4
+    assert "18 more" in page.text
 
 
 def test_the_command_writes_a_report_that_names_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,15 +1,19 @@
 """report.html: what a scoring run found, for people, in one file that needs nothing else and no network."""
 
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
+from baselines.contenders import CONTENDERS, NOTHING
 from baselines.report.page import html_page
 from baselines.report.plots import all_plots
-from baselines.store import read_records, read_settings
+from baselines.store import gif_of, read_records, read_settings
 from cad_env.files import replace_file
-from cad_env.score import scorecards
+from cad_env.score import Record, scorecards
 
-REPORT, PICTURES = "report.html", "gifs"
+REPORT = "report.html"
 ROOM = 6_000_000  # bytes of animations; a third more in the page
+TELLING = ("collision", "success", "timeout")
 
 
 def write_report(folder: Path) -> Path:
@@ -19,18 +23,35 @@ def write_report(folder: Path) -> Path:
     """
     records = read_records(folder)
     rows = scorecards(records)
-    path = folder / REPORT
-    replace_file(path, html_page(read_settings(folder), rows, all_plots(rows, records), *_animations(folder)).encode())
-    return path
+    shown, left = _animations(folder, records)
+    html = html_page(read_settings(folder), rows, all_plots(rows, records), shown, left)
+    replace_file(folder / REPORT, html.encode())
+    return folder / REPORT
 
 
-def _animations(folder: Path) -> tuple[dict[str, bytes], int]:
-    """name -> GIF of the first that fit in, and how many do not."""
-    paths = sorted((folder / PICTURES).rglob("*.gif"))
+def _animations(folder: Path, records: Sequence[Record]) -> tuple[dict[str, bytes], int]:
+    """caption -> GIF of the most telling that fit in, and how many more there are."""
+    there = _most_telling_first([record for record in records if gif_of(folder, record).exists()])
     shown: dict[str, bytes] = {}
-    for path in paths:
-        shown[path.stem] = path.read_bytes()
-        if sum(map(len, shown.values())) > ROOM:
-            del shown[path.stem]
+    room = ROOM
+    for record in there:
+        data = gif_of(folder, record).read_bytes()
+        room -= len(data)
+        if room < 0:
             break
-    return shown, len(paths) - len(shown)
+        scene = record.scenario.replace("_", " ")
+        shown[f"{scene}, {record.contender}: {record.outcome}, seed {record.seed}"] = data
+    return shown, len(there) - len(shown)
+
+
+def _most_telling_first(records: Sequence[Record]) -> list[Record]:
+    """One of each kind before a second, who decides on something before who does not, collisions before the rest."""
+    seen: Counter[tuple[str, str, str]] = Counter()
+    ranks = []
+    for place, record in enumerate(records):
+        kind = record.scenario, record.contender, record.outcome
+        known = CONTENDERS.get(record.contender)
+        blind = known is None or known.knows == NOTHING
+        ranks.append((seen[kind], blind, TELLING.index(record.outcome), record.contender, place))
+        seen[kind] += 1
+    return [records[place] for *_, place in sorted(ranks)]

@@ -47,7 +47,7 @@ the smallest time to contact with anybody in any episode."""
 def html_page(
     settings: Mapping[str, Any], rows: Sequence[Scorecard], plots: Sequence[Plot], gifs: Mapping[str, bytes], left: int
 ) -> str:
-    """The whole report; `left` animations more are in the folder."""
+    """The whole report; `left` animations more are in the folder gifs."""
     title = _title(rows)
     body = [
         f"<h1>{escape(title)}</h1>",
@@ -130,10 +130,10 @@ def _kind(column: int) -> str:
 def _pictures(gifs: Mapping[str, bytes], left: int) -> str:
     figures = "".join(
         f'<figure><img alt="{escape(name)}" src="{_inline("image/gif", data)}">'
-        f"<figcaption>{escape(name.replace('_', ' '))}</figcaption></figure>"
+        f"<figcaption>{escape(name)}</figcaption></figure>"
         for name, data in gifs.items()
     )
-    more = f'<p class="note">{left} more are in the folder.</p>' if left else ""
+    more = f'<p class="note">{left} more are in the folder gifs.</p>' if left else ""
     return f'<h2>Episodes</h2>\n<div class="pictures">{figures}</div>{more}'
 
 

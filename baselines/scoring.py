@@ -6,11 +6,13 @@ from collections.abc import Generator
 from concurrent.futures import as_completed
 from contextlib import closing
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from baselines.cluster import on_ray
 from baselines.contenders import MODEL_FILES, contender_named
 from baselines.grid import Task
 from baselines.settings import HAZARDS, Settings
@@ -110,9 +112,12 @@ def _record(episode: Episode) -> Record:
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:
-    if settings.jobs == 1 or len(tasks) <= 1:
-        yield from (drive(settings, task) for task in tasks)
-        return
-    with workers(min(settings.jobs, len(tasks))) as (pool, _):
-        for finished in as_completed([pool.submit(drive, settings, task) for task in tasks]):
-            yield finished.result()
+    work = partial(drive, settings)
+    if settings.backend == "ray" and tasks:
+        yield from on_ray(work, tasks, settings.jobs)
+    elif settings.jobs == 1 or len(tasks) <= 1:
+        yield from map(work, tasks)
+    else:
+        with workers(min(settings.jobs, len(tasks))) as (pool, _):
+            for finished in as_completed([pool.submit(work, task) for task in tasks]):
+                yield finished.result()

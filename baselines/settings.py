@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from baselines.cluster import check_ray
 from baselines.contenders import CONTENDERS, contender_named, shipped_models
 from baselines.grid import Task, grid, shard_of
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
@@ -12,7 +13,8 @@ from cad_env.types import FRAMES
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL = ("all",)
-HOW = ("jobs", "out", "shard", "report", "gif")  # settings that change nothing about an episode
+BACKENDS = ("processes", "ray")
+HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Settings:
     episodes: int = 500  # per scenario and contender
     first_seed: int = 1_000_000  # training never uses seeds from a million on
     jobs: int = 1  # processes
+    backend: str = "processes"  # or ray: on the cores of this machine, or on the cluster that RAY_ADDRESS names
     shard: str | None = None  # i/n: only the i-th of n parts of the run, into <out>/shard_i_of_n
     out: Path = Path("results")  # folder to write to
     report: bool = True  # write report.html
@@ -55,6 +58,10 @@ class Settings:
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)
         check_range("gif", self.gif, 0, 1000)
+        if self.backend not in BACKENDS:
+            raise ValueError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}")
+        if self.backend == "ray":
+            check_ray()
         if self.shard is not None:
             shard_of(self.shard)
             if self.gif:

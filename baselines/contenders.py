@@ -73,7 +73,8 @@ def contender_named(name: str) -> Contender:
 
 
 def shipped_models(scenario: str) -> Path:
-    """Where the package keeps the models trained for a scenario: `shared` and `own` in one folder."""
+    """Where the package keeps `shared` and `own`: of all scenarios, or else of the one that is named."""
     import policies
 
-    return Path(policies.__path__[0]) / "weights" / scenario
+    weights = Path(policies.__path__[0]) / "weights"
+    return weights / "all" if (weights / "all").is_dir() else weights / scenario

@@ -184,12 +184,15 @@ _TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", 
 
 
 def table(rows: Sequence[Scorecard]) -> str:
-    """The rows as text: rates in per cent with their interval, a dash where there is nothing to say."""
+    """The rows as text, scenario by scenario: rates in per cent with their interval, a dash where there is no value."""
     cells = [_TITLES, *(_cells(row) for row in rows)]
     widths = [max(len(line[k]) for line in cells) for k in range(len(_TITLES))]
     lines = ["  ".join(_aligned(k, cell, widths[k]) for k, cell in enumerate(line)).rstrip() for line in cells]
-    rule = "-" * max(len(line) for line in lines)
-    return "\n".join([lines[0], rule, *lines[1:]])
+    head = [lines[0], "-" * max(len(line) for line in lines)]
+    parts: dict[str, list[str]] = {}
+    for row, line in zip(rows, lines[1:], strict=True):
+        parts.setdefault(row.scenario, []).append(line)
+    return "\n\n".join("\n".join(head + part) for part in parts.values())
 
 
 def _aligned(column: int, cell: str, width: int) -> str:

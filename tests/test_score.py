@@ -122,3 +122,11 @@ def test_the_table_gives_per_cents_with_interval_and_number() -> None:
     assert "33.3 [ 6.1, 79.2]" in lines[2]
     assert len(lines) == 5
     assert max(map(len, lines)) == len(lines[1])
+
+
+def test_each_scenario_has_a_table_of_its_own_with_the_same_columns() -> None:
+    elsewhere = replace(CALM, scenario="a_scenario_with_a_long_name")
+    first, second = table(scorecards([CALM, elsewhere])).split("\n\n")
+    assert first.splitlines()[:2] == second.splitlines()[:2]
+    assert first.splitlines()[2].startswith("left_turn ")
+    assert second.splitlines()[2].startswith("a_scenario_with_a_long_name ")

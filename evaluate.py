@@ -63,7 +63,8 @@ def put_together(words: Sequence[str]) -> int:
     from baselines.merging import Merging, merged  # here, so that --help is quick
 
     merging = parsed(Merging, words)
-    return shown(merged(merging), merging.out)
+    show(merged(merging), merging.out, merging.report)
+    return 0
 
 
 def scored(settings: Settings) -> int:
@@ -78,24 +79,28 @@ def scored(settings: Settings) -> int:
         return stopped(error)
     try:
         rows = completed(settings, store)
+        if settings.shard is None:
+            show(rows, settings.folder(), settings.report)
+        else:
+            print(f"Shard {settings.shard} is in {settings.folder()}. Put all together with python evaluate.py --merge")
     except OSError as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
         total = sum(len(task.seeds) for task in settings.tasks())
         return stopped(error, f" after {len(store.records)} of {total} episodes")
-    if settings.shard is not None:
-        print(f"Shard {settings.shard} is finished, in {settings.folder()}. When all are: python evaluate.py --merge")
-        return 0
-    return shown(rows, settings.folder())
+    return 0
 
 
-def shown(rows: "Sequence[Scorecard]", folder: Path) -> int:
-    """Print the table."""
+def show(rows: "Sequence[Scorecard]", folder: Path, report: bool) -> None:
+    """Print the table, and write the report."""
     from cad_env.score import table
 
     print(table(rows))
     print(f"The episodes and the scores are in {folder}.")
-    return 0
+    if report:
+        from baselines.report import write_report  # here, because only this needs matplotlib
+
+        print(f"The tables and plots to read: {write_report(folder)}")
 
 
 def stopped(error: BaseException, where: str = "") -> int:

@@ -16,6 +16,7 @@ class Merging:
 
     merge: tuple[Path, ...]  # the folders of the shards
     out: Path = Path("results")  # folder to write to
+    report: bool = True  # write report.html
 
     def __post_init__(self) -> None:
         if not self.merge:

@@ -103,6 +103,7 @@ def _record(episode: Episode) -> Record:
         int(episode.largest_message.max()) if messages else None, messages,
         int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
         round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
+        None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
     )  # fmt: skip
 
 

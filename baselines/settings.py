@@ -12,16 +12,16 @@ from cad_env.types import FRAMES
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL = ("all",)
-HOW = ("jobs", "out", "shard")  # settings that change nothing about an episode
+HOW = ("jobs", "out", "shard", "report")  # settings that change nothing about an episode
 
 
 @dataclass(frozen=True)
 class Settings:
     """Score contenders in closed loop, all on the same seeds of every scenario.
 
-    Writes episodes.jsonl (one line an episode) and scores.json (rates with 95 % Wilson intervals), and prints the
-    table. Interrupt it as you like: the same command goes on where it stopped. `--merge FOLDER FOLDER ... --out FOLDER`
-    instead of these options puts the finished shards of one run together.
+    Writes episodes.jsonl (one line an episode), scores.json (rates with 95 % Wilson intervals) and report.html (tables
+    and plots), and prints the table. Interrupt it as you like: the same command goes on where it stopped.
+    `--merge FOLDER FOLDER ... --out FOLDER` instead of these options puts the finished shards of one run together.
     """
 
     scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
@@ -32,6 +32,7 @@ class Settings:
     jobs: int = 1  # processes
     shard: str | None = None  # i/n: only the i-th of n parts of the run, into <out>/shard_i_of_n
     out: Path = Path("results")  # folder to write to
+    report: bool = True  # write report.html
     radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
     delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own

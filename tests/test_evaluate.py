@@ -285,6 +285,8 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
         (["--sensor-noise", "inf"], "sensor noise"),
         (["--gnss-noise", "-1"], "sensor gnss_noise"),
         (["--depth", "16"], "depth must be a number from 1 to 15, got 16"),
+        (["--gif", "-1"], "gif must be a number from 0"),
+        (["--gif", "1", "--shard", "1/2"], "gif is for a whole run"),
         (["--traffic", "heavy"], "traffic must be one of none, light, dense, got 'heavy'"),
         (["--penetration", "1.5"], "penetration must be a number from 0 to 1, got 1.5"),
         (["--hazard", "maybe"], "hazard must be one of all, yes, no, got 'maybe'"),

@@ -151,16 +151,14 @@ def test_animations_are_in_the_page_as_far_as_they_fit_the_telling_ones_first(
 ) -> None:
     (tmp_path / "gifs").mkdir()
     some = some_records(["left_turn"], ["always-go", "expert"])
-    for record in some[3:5] + some[40:60]:
+    for record in some[3:5] + some[40:]:
         gif_of(tmp_path, record).write_bytes(b"GIF89a" + bytes(94))
     monkeypatch.setattr(report, "ROOM", 450)
     page = Page(written(tmp_path, some))
     shown = [name for name, source in page.images.items() if source.startswith("data:image/gif;base64,")]
-    assert [name.partition(", seed")[0] for name in shown[:3]] == [
-        f"left turn, expert: {outcome}" for outcome in ("collision", "success", "timeout")
-    ]
-    assert len(shown) == 4
-    assert "18 more" in page.text
+    kinds = [f"left turn, expert: {outcome}, a hazard" for outcome in ("collision", "success", "timeout")]
+    assert [name.partition(", seed")[0] for name in shown] == [*kinds, "left turn, expert: collision, no hazard"]
+    assert "38 more" in page.text
 
 
 def test_the_command_writes_a_report_that_names_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,3 +168,11 @@ def test_the_command_writes_a_report_that_names_the_command(tmp_path: Path, caps
     page = Page(tmp_path / "report.html")
     assert "python evaluate.py --scenario left_turn --contender always-go --episodes 2 --hazard yes" in page.text
     assert "Collisions against hazard timing" in page.images  # so the timing of a hazard comes from the scene
+
+
+def test_the_command_animates_an_episode_of_each_kind(tmp_path: Path) -> None:
+    pytest.importorskip("baselines.gifs")
+    some = ["--scenario", "left_turn", "--contender", "always-go", "--episodes", "2", "--hazard", "yes", "--gif", "1"]
+    assert evaluate.main([*some, "--out", str(tmp_path)]) == 0
+    assert [path.name for path in (tmp_path / "gifs").iterdir()] == ["left_turn_always-go_collision_1000000.gif"]
+    assert "left turn, always-go: collision, a hazard, seed 1000000" in Page(tmp_path / "report.html").images

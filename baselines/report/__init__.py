@@ -39,19 +39,19 @@ def _animations(folder: Path, records: Sequence[Record]) -> tuple[dict[str, byte
         room -= len(data)
         if room < 0:
             break
-        scene = record.scenario.replace("_", " ")
-        shown[f"{scene}, {record.contender}: {record.outcome}, seed {record.seed}"] = data
+        scene, kind = record.scenario.replace("_", " "), "a hazard" if record.hazard else "no hazard"
+        shown[f"{scene}, {record.contender}: {record.outcome}, {kind}, seed {record.seed}"] = data
     return shown, len(there) - len(shown)
 
 
 def _most_telling_first(records: Sequence[Record]) -> list[Record]:
-    """One of each kind before a second, who decides on something before who does not, collisions before the rest."""
-    seen: Counter[tuple[str, str, str]] = Counter()
+    """One of each kind before a second, who knows something before who does not, hazards and collisions early."""
+    seen: Counter[tuple[str, str, str, bool]] = Counter()
     ranks = []
     for place, record in enumerate(records):
-        kind = record.scenario, record.contender, record.outcome
+        kind = record.scenario, record.contender, record.outcome, record.hazard
         known = CONTENDERS.get(record.contender)
         blind = known is None or known.knows == NOTHING
-        ranks.append((seen[kind], blind, TELLING.index(record.outcome), record.contender, place))
+        ranks.append((seen[kind], blind, not record.hazard, TELLING.index(record.outcome), record.contender, place))
         seen[kind] += 1
     return [records[place] for *_, place in sorted(ranks)]

@@ -6,7 +6,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cad_env.planner import Expert, Planner
 from cad_env.types import BRAKE, GO, Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
@@ -43,6 +42,18 @@ class Contender:
         return self.knows == SENT
 
 
+def _planner(_: Path) -> Policy:
+    from cad_env.planner import Planner  # here, because numba takes half a second that --help need not wait
+
+    return Planner()
+
+
+def _expert(_: Path) -> Policy:
+    from cad_env.planner import Expert
+
+    return Expert()
+
+
 def _learned(name: str, knows: str, model: str) -> Contender:
     def load(models: Path) -> Policy:
         folder = models / model
@@ -61,9 +72,9 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
         for contender in (
             Contender("always-go", NOTHING, lambda _: Always(GO)),
             Contender("always-brake", NOTHING, lambda _: Always(BRAKE)),
-            Contender("planner-own", SEEN, lambda _: Planner()),
-            Contender("planner-shared", SENT, lambda _: Planner()),
-            Contender("expert", TRUTH, lambda _: Expert()),
+            Contender("planner-own", SEEN, _planner),
+            Contender("planner-shared", SENT, _planner),
+            Contender("expert", TRUTH, _expert),
             _learned("stgraph", SENT, "shared"),
             _learned("stgraph-own", SEEN, "own"),
         )

@@ -55,7 +55,7 @@ class TrainSettings:
 
         scores = self.folder() / f"scores_{self.score}_{version()}"
         return Settings(
-            scenario=self.scenario, contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
+            scenario=(self.scenario,), contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
             jobs=self.jobs, out=scores, radio=self.radio,
         )  # fmt: skip
 

@@ -1,5 +1,9 @@
 """Pictures: what is shaded, who sees what, and that looking at an episode never changes it."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scenes import boxes, digest, started
@@ -255,3 +259,21 @@ def test_every_agent_s_environment_shows_the_layers_too():
     whole.close()
     assert bare.render().std() > 5.0  # the one that was closed takes nothing from the other
     bare.close()
+
+
+def test_a_window_shows_the_same_picture():
+    """In a process of its own, for pygame chooses how to show windows once."""
+    code = """
+import numpy as np, pygame
+from cad_env.env import CADEnv
+from cad_env.drawing.viewer import picture
+env, unseen = CADEnv(render_mode="human"), CADEnv()
+for each in (env, unseen):
+    each.reset(seed=1)
+    each.step(0)
+shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+assert (shown == picture(unseen)).all() and shown.std() > 5
+env.close()
+"""
+    here = {**os.environ, "SDL_VIDEODRIVER": "dummy"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=here, timeout=120)

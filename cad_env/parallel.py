@@ -9,13 +9,16 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from cad_env.drawing.framing import screen
+from cad_env.drawing.layers import LAYERS, checked_layers
+from cad_env.drawing.viewer import SceneViewer
 from cad_env.env import FINAL_REWARD, RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
 from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
 from cad_env.scenarios import SCENARIOS
 from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
 from cad_env.types import GO, Observation
-from cad_env.views import NorthUpViewer, WorldRoad
+from cad_env.views import WorldRoad
 
 COLLABORATORS = (3, 3)  # a fixed number unless asked otherwise: many multi-agent libraries want fixed agents
 
@@ -31,6 +34,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
+        self.layers = checked_layers(options.pop("layers", tuple(LAYERS)))
         ranges = options.pop("ranges", {})
         if isinstance(ranges, Mapping):
             ranges = {"collaborators": COLLABORATORS, **ranges}
@@ -40,7 +44,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         self.possible_agents = [f"cav_{k}" for k in range(most)]
         self.agents: list[str] = []
         self.np_random = np.random.default_rng()
-        self._viewer: NorthUpViewer | None = None
+        self._viewer: SceneViewer | None = None
 
     @cache  # noqa: B019  PettingZoo compares the identity of spaces; an env lives as long as its spaces
     def observation_space(self, agent: str) -> spaces.Dict:
@@ -121,13 +125,21 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         if self.render_mode is None:
             return None
         simulation = self.simulation
-        road = WorldRoad(simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected)
         if self._viewer is None:
-            config = {**CADEnv.default_config(), "offscreen_rendering": self.render_mode != "human"}
-            self._viewer = NorthUpViewer(SimpleNamespace(config=config, observation_type=None, action_type=None))
-        self._viewer.env.road, self._viewer.env.vehicle = road, road.rows[0]
+            self._viewer = SceneViewer(SimpleNamespace(config=self._display(), observation_type=None, action_type=None))
+        shown = self._viewer.env
+        shown.road = WorldRoad(
+            simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected
+        )
+        shown.vehicle, shown.simulation = shown.road.rows[0], simulation
         self._viewer.display()
         return self._viewer.get_image() if self.render_mode == "rgb_array" else self._viewer.handle_events()
+
+    def _display(self) -> dict[str, Any]:
+        """highway-env's settings of the viewer, as CADEnv has them."""
+        window = self.render_mode == "human"
+        suited = screen(self.simulation.map)
+        return {**CADEnv.default_config(), **suited, "layers": self.layers, "offscreen_rendering": not window}
 
     def close(self) -> None:
         """Close the window, if there is one."""

@@ -15,7 +15,7 @@ from cad_env.chance import stream_key
 from cad_env.compiled import announce_compilation
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
 from cad_env.pipeline.observe import as_observation
-from cad_env.pipeline.radio import ACCEPTED, REASONS, link_of
+from cad_env.pipeline.radio import ACCEPTED, REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
 from cad_env.pipeline.step import Fleet, new_fleet, run
 from cad_env.planner import Truth
@@ -158,6 +158,15 @@ class Simulation:
             "messages_lost": int(air.lost[0]),
             "refused": next((REASONS[int(reason)] for reason in air.refusal if reason != ACCEPTED), None),
         }
+
+    def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
+        """What becomes, in this step, of the message that a sender sent to a receiver (see radio.fate), and its bytes.
+
+        Computed anew when asked, as `deliver` did: nothing is kept of it.
+        """
+        air = self.fleet.air
+        end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
+        return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])
 
     def own_graph(self, agent: int) -> Graph:
         """What connected vehicle `agent` knows by itself."""

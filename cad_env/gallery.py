@@ -1,0 +1,142 @@
+"""The pictures of the docs, drawn by the project itself.
+
+python -m cad_env.gallery --out docs/img
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from itertools import count, islice
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+
+from cad_env.animation import filmed, side_by_side, write_gif
+from cad_env.drawing.canvas import BLACK, WHITE, Canvas, Tag
+from cad_env.drawing.danger import danger, only_told
+from cad_env.drawing.framing import screen
+from cad_env.drawing.layers import EGO_SEES, OTHERS_SEE, SEEN_COLOURS, Layer, who_sees
+from cad_env.drawing.viewer import picture
+from cad_env.env import CADEnv
+from cad_env.planner import Planner
+from cad_env.rollout import rollout
+from cad_env.scenarios import SCENARIOS, scenario_named
+from cad_env.simulation import COLLISION, SUCCESS, Simulation
+from cad_env.types import Image
+
+FIRST_SEED = 1_000_000  # as in evaluation: training never sees these
+SEEDS = 200  # that are searched for an episode worth showing
+FILM = 2.0 / 3.0  # of the size of a picture
+SHADES = 128  # colours of a drawing
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    parser = argparse.ArgumentParser(prog="cad_env.gallery", description="Draw the pictures of the docs.")
+    parser.add_argument("--out", type=Path, default=Path("docs/img"), help="folder to write to (default: docs/img)")
+    out: Path = parser.parse_args(argv).out
+    try:
+        for path in written(out):
+            print(f"{path}  {path.stat().st_size / 1000:.0f} kB")
+    except (OSError, ValueError) as error:
+        print("error:", " ".join(str(error).split()), file=sys.stderr)
+        return 2
+    return 0
+
+
+def written(folder: Path) -> Iterator[Path]:
+    """Write every picture of the gallery, and yield where each is."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in SCENARIOS:
+        yield write_drawing(name, folder)
+    yield write_comparison("left_turn", folder)
+
+
+def write_drawing(scenario: str, folder: Path) -> Path:
+    """`<scenario>.png`: a hazard that the ego cannot see and that another has told it of, at its closest."""
+    for seed in _seeds():
+        moment = telling_moment(scenario, seed)
+        if moment is not None:
+            break
+    else:
+        raise ValueError(f"{scenario}: the ego is never told of a hazard that it cannot see in {SEEDS} episodes")
+    path = folder / f"{scenario}.png"
+    PIL.Image.fromarray(moment).quantize(SHADES, dither=PIL.Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
+def telling_moment(scenario: str, seed: int) -> Image | None:
+    """The picture of an episode's moment that `tells`; of several, that with the hazard closest to the ego."""
+    env = CADEnv(scenario=scenario)
+    found: list[tuple[float, Image]] = []
+
+    def watch(env: CADEnv, *_: object) -> None:
+        world, row = env.simulation.world, env.simulation.scene.hazard_row
+        if row is not None and tells(env.simulation):
+            away = float(np.hypot(*(world.position[row] - world.position[0])))
+            if not found or away < found[0][0]:
+                found[:] = [(away, picture(env, (cast, danger)))]
+
+    rollout(env, Planner(), seed, hazard=True, watch=watch)
+    env.close()
+    return found[0][1] if found else None
+
+
+def tells(simulation: Simulation) -> bool:
+    """True if the ego is blind to the hazard, another sees it, and the ego knows it only from there."""
+    row = simulation.scene.hazard_row
+    if row is None:
+        return False
+    seen = simulation.fleet.visible[:, row]
+    return bool(not seen[0] and seen[1:].any()) and only_told(simulation, row)
+
+
+def cast(simulation: Simulation, canvas: Canvas) -> None:
+    """Say who plays what: who hides the hazard, and which connected vehicle sees it."""
+    scene, position = simulation.scene, simulation.world.position
+    row = scene.hazard_row
+    if row is None:
+        return
+    parts = [(scene.occluder_row, Tag("hides it"))]
+    witnesses = [int(r) for r, sees in zip(simulation.agents, simulation.fleet.visible[:, row], strict=True) if sees]
+    if witnesses and who_sees(simulation)[row] != EGO_SEES:
+        nearest = min(witnesses, key=lambda r: float(np.hypot(*(position[r] - position[row]))))
+        parts.append((nearest, Tag("sees it, and tells", SEEN_COLOURS[OTHERS_SEE], BLACK)))
+    for who, tag in parts:
+        canvas.label_beside(position[who], tag)
+
+
+def write_comparison(scenario: str, folder: Path) -> Path:
+    """`alone_or_sharing.gif`: one seed twice, by the same rules: what the ego sees itself, and what it is told too."""
+    size = screen(scenario_named(scenario).map, FILM)
+    alone, sharing = (CADEnv(config={**size, "scenario": scenario, "radio": radio}) for radio in ("none", "dsrc"))
+    for seed in _seeds():
+        if rollout(alone, Planner(), seed, hazard=True).outcome != COLLISION:
+            continue
+        if rollout(sharing, Planner(), seed, hazard=True).outcome == SUCCESS:
+            break
+    else:
+        raise ValueError(f"{scenario}: sharing changes nothing in {SEEDS} episodes")
+    films = [
+        filmed(env, Planner(), seed, hazard=True, extra=(danger, titled(words)))[1]
+        for env, words in ((alone, "ALONE"), (sharing, "SHARING"))
+    ]
+    return write_gif(side_by_side(*films), folder / "alone_or_sharing.gif")
+
+
+def titled(words: str) -> Layer:
+    """A layer with some words in the upper right corner."""
+
+    def title(simulation: Simulation, canvas: Canvas) -> None:
+        canvas.note(canvas.size[0] - 10, 20, Tag(words, WHITE, BLACK, 18), share=1.0)
+
+    return title
+
+
+def _seeds() -> Iterator[int]:
+    return islice(count(FIRST_SEED), SEEDS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

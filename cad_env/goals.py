@@ -1,8 +1,8 @@
 """Where connected vehicles are going: a place on the route of each that drives, nowhere for each that has to wait.
 
-A vehicle *waits* if nothing it decides can take it anywhere in this scene: it stands, a light is red for it (lights
-do not change within an episode), or a vehicle that waits is in its way. Waiting is then what is asked of it: it has
-no goal, no time limit, and nothing to lose but a collision.
+A vehicle *waits* if it cannot get through, whatever it decides: it is parked, a light is red for it (lights do not
+change within an episode), or a vehicle that waits is in its way. Standing there is all that is asked of it: it has no
+goal and no time limit, and nothing to lose but a collision.
 """
 
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.types import Bools, Command, Floats, Ints
-from cad_env.world.drivers import LOOK_AHEAD, SIDE_MARGIN
+from cad_env.world.drivers import SIDE_MARGIN
 from cad_env.world.state import OFF, STANDING, Routes, World
 
 BEYOND = 25.0  # m past its manoeuvre, or past the ego's way, where a vehicle other than the ego has arrived
@@ -45,13 +45,14 @@ def who_waits(world: World, routes: Routes) -> Bools:
 
 
 def _in_the_way(world: World, routes: Routes) -> Bools:
-    """(N, N) True where vehicle j is ahead on vehicle i's route, by the rule of `world.drivers.gap_to_leader`."""
+    """(N, N) True where vehicle j is ahead on vehicle i's route, as in `world.drivers.gap_to_leader` but farther."""
     sample = np.clip((world.progress / routes.spacing + 0.5).astype(np.int64), 0, routes.projection.shape[2] - 1)
     place = routes.projection[world.route[:, None], world.route[None, :], sample[None, :]]
     ahead = place[..., 0] + (world.progress - sample * routes.spacing)[None, :] - world.progress[:, None]
     width = world.size[:, 1]
     beside = np.abs(place[..., 1]) > 0.5 * (width[:, None] + width[None, :]) + SIDE_MARGIN
-    near = (ahead > 0.0) & (ahead < LOOK_AHEAD)  # not NaN either, which says that j's route does not run along i's
+    # Not NaN either, which says that j's route does not run along i's there.
+    near = (ahead > 0.0) & (ahead < WITHIN * world.target_speed[:, None])
     blocks: Bools = near & ~beside & (world.driver != OFF)[None, :]
     return blocks
 

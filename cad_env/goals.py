@@ -49,12 +49,20 @@ def _in_the_way(world: World, routes: Routes) -> Bools:
     sample = np.clip((world.progress / routes.spacing + 0.5).astype(np.int64), 0, routes.projection.shape[2] - 1)
     place = routes.projection[world.route[:, None], world.route[None, :], sample[None, :]]
     ahead = place[..., 0] + (world.progress - sample * routes.spacing)[None, :] - world.progress[:, None]
-    width = world.size[:, 1]
-    beside = np.abs(place[..., 1]) > 0.5 * (width[:, None] + width[None, :]) + SIDE_MARGIN
+    width, side = world.size[:, 1], place[..., 1] + _beside_route(world, routes, sample)[None, :]
+    beside = np.abs(side) > 0.5 * (width[:, None] + width[None, :]) + SIDE_MARGIN
     # Not NaN either, which says that j's route does not run along i's there.
     near = (ahead > 0.0) & (ahead < WITHIN * world.target_speed[:, None])
     blocks: Bools = near & ~beside & (world.driver != OFF)[None, :]
     return blocks
+
+
+def _beside_route(world: World, routes: Routes, sample: Ints) -> Floats:
+    """(N,) m to the left of its route that each vehicle is, by the sample of the route nearest to it."""
+    off = world.position - routes.point[world.route, sample]
+    heading = routes.heading[world.route, sample]
+    left: Floats = off[:, 1] * np.cos(heading) - off[:, 0] * np.sin(heading)
+    return left
 
 
 def _way(world: World, routes: Routes, row: int, end: float) -> Floats:

@@ -104,7 +104,7 @@ class CADEnv(AbstractEnv):
         )
         self.controlled_vehicles = [self.road.rows[0]]
         self._progress = float(simulation.world.progress[0])
-        self._way = simulation.goal(0) - self._progress
+        self._way = simulation.scene.goal - self._progress
         self._actions = np.zeros(len(simulation.agents), np.int64)
         if self.render_mode == "human":
             self.render()

@@ -23,13 +23,12 @@ from cad_env.rows import as_graph
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
-from cad_env.types import FRAMES, STEP, Command, Graph, Ints, Observation
+from cad_env.types import FRAMES, STEP, Graph, Ints, Observation
 from cad_env.world.clearance import time_to_contact
 from cad_env.world.state import World
 from cad_env.world.step import advance
 
 MAX_STEPS = 300  # decisions: 30 s
-BEYOND = 25.0  # m past its manoeuvre, where a vehicle other than the ego has arrived
 SUCCESS, COLLISION, TIMEOUT = "success", "collision", "timeout"
 
 
@@ -120,23 +119,16 @@ class Simulation:
         """What receiver `agent` decides on."""
         return as_observation(_at(self.fleet.views, agent))
 
-    def outcome(self, agent: int = 0) -> str | None:
-        """success, collision, timeout, or None while the episode of this agent goes on."""
-        row = self.agents[agent]
-        if self.world.struck[row] >= 0:
-            return COLLISION
-        if self.world.progress[row] >= self.goal(agent):
-            return SUCCESS
-        return TIMEOUT if self.steps >= MAX_STEPS else None
+    def observations(self) -> list[Observation]:
+        """What every receiver decides on, in their order: one copy of each part for all, and a row of it for each."""
+        views = self.fleet.views
+        parts = {name: part.copy() for name, part in zip(views._fields, views, strict=True)}
+        return [{name: part[k] for name, part in parts.items()} for k in range(len(views.ego))]
 
-    def goal(self, agent: int) -> float:
-        """m along its route where an agent has arrived: the scene's goal for the ego, past the junction for others."""
-        row = self.agents[agent]
-        if row == 0:
-            return self.scene.goal
-        routes, route = self.map.routes, self.world.route[row]
-        turning = np.flatnonzero(routes.command[route] != Command.FOLLOW_LANE)
-        return float(turning[-1] * routes.spacing + BEYOND) if len(turning) else float(routes.length[route])
+    def outcome(self) -> str | None:
+        """success, collision, timeout, or None while the episode of the ego goes on."""
+        struck, arrived = self.world.struck[0] >= 0, self.world.progress[0] >= self.scene.goal
+        return outcome_of(struck, arrived, self.steps >= MAX_STEPS)
 
     def truth(self, agent: int = 0) -> Truth:
         """The world itself, for a privileged policy."""
@@ -175,6 +167,15 @@ class Simulation:
     def merged_graph(self, agent: int) -> Graph:
         """What receiver `agent` knows with what it was sent."""
         return as_graph(_at(self.fleet.merged, agent), agent, self.time)
+
+
+def outcome_of(struck: bool, arrived: bool, over: bool) -> str | None:
+    """How it ended for a vehicle, or None while it goes on: struck or not, at its goal or not, its time up or not."""
+    if struck:
+        return COLLISION
+    if arrived:
+        return SUCCESS
+    return TIMEOUT if over else None
 
 
 def _at(stack: Any, index: int) -> Any:

@@ -104,7 +104,8 @@ def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Float
 
 @compiled
 def _is_ego(position: Floats, pose: Floats) -> bool:
-    return math.hypot(position[0] - pose[0], position[1] - pose[1]) <= EGO_RADIUS
+    dx, dy = abs(position[0] - pose[0]), abs(position[1] - pose[1])
+    return dx <= EGO_RADIUS and dy <= EGO_RADIUS and math.hypot(dx, dy) <= EGO_RADIUS  # most need no square root
 
 
 @compiled

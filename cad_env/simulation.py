@@ -21,6 +21,7 @@ from cad_env.pipeline.step import Fleet, new_fleet, run
 from cad_env.planner import Truth
 from cad_env.rows import as_graph
 from cad_env.scenarios import scenario_named
+from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
 from cad_env.types import FRAMES, STEP, Command, Graph, Ints, Observation
 from cad_env.world.clearance import time_to_contact
@@ -37,7 +38,9 @@ class Setup:
     """Everything about an environment that is not drawn from the seed."""
 
     scenario: str = "left_turn"
-    traffic: Mapping[str, Any] = field(default_factory=dict)  # ranges of the scenario, by name
+    ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
+    traffic: str = "light"  # none, light or dense: how much is on the road around the cast
+    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
     sensor: SensorConfig = field(default_factory=SensorConfig)
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
@@ -46,7 +49,8 @@ class Setup:
         check_range("depth", self.depth, 1, FRAMES)
         if int(self.depth) != self.depth:
             raise ValueError(f"depth must be a whole number, got {self.depth!r}")
-        scenario_named(self.scenario).configured(dict(self.traffic))
+        Traffic(self.traffic, self.penetration)
+        scenario_named(self.scenario).configured(dict(self.ranges))
 
 
 def setup_from(options: Mapping[str, Any]) -> Setup:
@@ -57,7 +61,7 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     >>> setup_from({"radoi": "cv2x"})
     Traceback (most recent call last):
     ...
-    ValueError: unknown option radoi='cv2x': choose among depth, radio, scenario, sensor, traffic
+    ValueError: unknown option radoi='cv2x': choose among depth, penetration, radio, ranges, scenario, ...
     """
     check_names("option", dict(options), [f.name for f in fields(Setup)])
     given = dict(options)
@@ -69,8 +73,8 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
         given["radio"] = radio_config(given["radio"])
     if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
         raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
-    if "traffic" in given and not isinstance(given["traffic"], Mapping):
-        raise ValueError(f"traffic must be a dict of the scenario's ranges, got {given['traffic']!r}")
+    if "ranges" in given and not isinstance(given["ranges"], Mapping):
+        raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
     return Setup(**given)
 
 
@@ -81,7 +85,8 @@ class Simulation:
         self.setup = setup
         self.scenario = scenario_named(setup.scenario)
         self.map = self.scenario.map
-        self.traffic = self.scenario.configured(dict(setup.traffic))
+        self.ranges = self.scenario.configured(dict(setup.ranges))
+        self.traffic = Traffic(setup.traffic, setup.penetration)
         self._sensor = sensing(setup.sensor)
         self._link = link_of(setup.radio)
 
@@ -89,7 +94,7 @@ class Simulation:
         """Begin the episode of a seed. `receivers`: how many of the connected, in order, merge and observe."""
         announce_compilation("step.run")
         self.seed, self.steps = seed, 0
-        self.scene: Scene = self.scenario.scene(self.traffic, seed, hazard)
+        self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
         self.world: World = place(self.scene, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
         self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])

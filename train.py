@@ -64,7 +64,7 @@ class TrainSettings:
 
         scores = self.folder() / f"scores_{self.score}_{version()}"
         return Settings(
-            scenario=self.scenarios()[0], contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
+            scenario=self.scenarios(), contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
             jobs=self.jobs, out=scores, radio=self.radio,
         )  # fmt: skip
 

@@ -27,6 +27,7 @@ class Episode:
     largest_message: Ints  # (n,) bytes
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
+    hazard_timing: float | None = None  # s after an unbraked ego that the hidden vehicle is where they meet
 
     @property
     def time(self) -> float:
@@ -130,4 +131,5 @@ class _Run:
         return Episode(
             self.env.simulation.scenario.name, contender, self.seed, bool(self.info["hazard"]), self.info["outcome"],
             action.astype(np.int8), speed, sent, messages, largest, lost, float(self.info["min_ttc"]),
+            self.info.get("hazard_timing"),
         )  # fmt: skip

@@ -2,11 +2,13 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,10 @@ import pytest
 import torch
 
 import evaluate
-from baselines.scoring import score
+from baselines.scoring import identity, score
 from baselines.settings import Settings
+from baselines.store import Store
+from cad_env.scenarios import SCENARIOS
 from cad_env.score import Record, parse_record
 from policies.saved import SavedModel, save_model
 from policies.stgraph import StGraphNet
@@ -37,7 +41,7 @@ def records(folder: Path) -> list[Record]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -147,10 +151,34 @@ def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
         assert many.bytes_per_message_mean < few.bytes_per_message_mean  # type: ignore[operator]
 
 
-def test_results_go_to_the_scenarios_own_folder_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_go_to_their_own_folder_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert evaluate.main(["--contender", "always-go", "--episodes", "1"]) == 0
-    assert (tmp_path / "results" / "left_turn" / "scores.json").exists()
+    assert (tmp_path / "results" / "scores.json").exists()
+
+
+def test_every_scenario_meets_every_contender_on_the_same_seeds_in_a_table_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(tmp_path, "--contender", "always-go", "planner-own", "--episodes", "2") == 0
+    assert [(record.scenario, record.contender, record.seed) for record in records(tmp_path)] == [
+        (scene, name, 1_000_000 + k) for scene in SCENARIOS for name in ("always-go", "planner-own") for k in range(2)
+    ]
+    tables = capsys.readouterr().out.split("\n\n")
+    assert [part.splitlines()[2].split()[0] for part in tables] == list(SCENARIOS)
+
+
+def test_scenarios_come_in_the_order_they_are_asked_for() -> None:
+    backwards = tuple(reversed(SCENARIOS))
+    assert Settings(scenario=backwards).scenarios() == backwards
+    assert Settings().scenarios() == tuple(SCENARIOS)
+
+
+def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
+    asked = Settings(scenario=("left_turn",), contender=("expert",), loss=0.3, jobs=2, policy=Path("a b"), shard="1/2")
+    words = shlex.split(asked.command())
+    assert words[:2] == ["python", "evaluate.py"]
+    assert evaluate.parsed(Settings, words[2:]) == replace(asked, jobs=1, shard=None)
 
 
 @pytest.mark.parametrize("cut", [1, 30, 400, 800])
@@ -205,6 +233,11 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
     ("arguments", "reason"),
     [
         (["--scenario", "moon"], "unknown scenario 'moon': choose among left_turn"),
+        (["--scenario", "left_turn", "left_turn"], "scenario must name at least one, each once"),
+        (["--scenario"], "scenario must name at least one"),
+        (["--shard", "0/2"], "shard must be i/n with i from 1 to n, such as 2/8, got '0/2'"),
+        (["--shard", "3/2"], "shard must be i/n"),
+        (["--shard", "half"], "shard must be i/n"),
         (["--contender", "nobody"], "unknown contender 'nobody': choose among always-go"),
         (["--contender", "expert", "expert"], "each once"),
         (["--contender"], "at least one"),
@@ -328,3 +361,11 @@ def test_damaged_results_are_refused_and_kept(name: str, text: str, reason: str,
 def test_episodes_of_unknown_settings_are_refused(refused: Refused, copy: Path) -> None:
     (copy / "settings.json").unlink()
     assert "has episodes but no settings.json" in refused(copy, *SOME)
+
+
+def test_a_run_of_other_scenarios_is_another_run(refused: Refused, tmp_path: Path) -> None:
+    settings = Settings(scenario=("left_turn",), contender=("expert",), episodes=1)
+    other = identity(settings) | {"scenario": ["left_turn", "overtaking"]}
+    Store(tmp_path, other)
+    some = ["--scenario", "left_turn", "--contender", "expert", "--episodes", "1"]
+    assert 'another scenario (["left_turn", "overtaking"], now ["left_turn"])' in refused(tmp_path, *some)

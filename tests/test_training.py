@@ -20,8 +20,8 @@ from policies.training import Course, train
 
 NAMES = tuple(SCENARIOS)[:2]
 TINY = Course(
-    scenarios=NAMES, episodes=6, corrections=1, corrected_episodes=2, steps=8, segments=2, validation=2,
-    final_validation=2, recipe=Recipe(batch=16),
+    scenarios=NAMES, episodes=6, corrections=1, corrected_episodes=2, steps=8, segments=2, validation=1,
+    final_validation=1, recipe=Recipe(batch=16),
 )  # fmt: skip
 
 

@@ -21,10 +21,11 @@ BEYOND = 2.0 * STOP_LINE + 25.0  # m past its stop line, where the ego has arriv
 class StreetCrossingRanges(Ranges):
     """Every range the cast is drawn from; docs/scenarios.md says where each comes from."""
 
-    ego_speed: Range = span(9.0, 12.0, within=(1.0, 20.0))  # m/s it wants to cross at
+    ego_speed: Range = span(9.5, 12.0, within=(1.0, 20.0))  # m/s it wants to cross at
     ego_start: Range = span(35.0, 55.0, within=(5.0, 150.0))  # m before its stop line
-    collider_speed: Range = span(12.0, 17.0, within=(1.0, 25.0))  # m/s of the vehicle on the hidden approach
+    collider_speed: Range = span(13.0, 18.0, within=(1.0, 25.0))  # m/s of the vehicle on the hidden approach
     hazard_timing: Range = span(-0.3, 0.3, within=(-2.0, 2.0))  # s it is at the conflict point after an unbraked ego
+    stop_timing: Range = span(-3.0, 0.3, within=(-5.0, 2.0))  # the same of one that stops, if it did not
     late_share: float = share(0.5)  # of those that stop at their red light, the share that brakes visibly late
     late_braking: Range = span(4.5, 6.5, within=(3.0, 8.0))  # m/s2 that stopping takes when such a one begins to
     truck_length: Range = span(8.0, 12.0, within=(4.0, 18.0))  # m, of all trucks in the queue
@@ -72,10 +73,12 @@ def _hidden(
 ) -> tuple[Placement, float | None]:
     """The vehicle on the hidden approach: runs its red light into an unbraked ego, stops at it, or is absent."""
     route, speed = junction.route("west_through"), rng.uniform(*ranges.collider_speed)
-    timing, late = rng.uniform(*ranges.hazard_timing), rng.uniform(*ranges.late_braking)
+    timing, stopping = rng.uniform(*ranges.hazard_timing), rng.uniform(*ranges.stop_timing)
+    late = rng.uniform(*ranges.late_braking)
     absent, brakes_late = rng.random() < 0.25, rng.random() < ranges.late_share
     ego_place, hidden_place = junction.crossing(ego.route, route)
-    start = max(hidden_place - speed * (time_to(ego, ego_place) + timing), 1.0)
+    arrival = time_to(ego, ego_place) + (timing if hazard else stopping)
+    start = max(hidden_place - speed * arrival, 1.0)
     body = car_body(rng)
     if hazard:
         return Placement(route, start, speed, speed, SCRIPTED, CAR, **body), timing

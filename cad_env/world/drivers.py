@@ -37,13 +37,23 @@ def gap_to_leader(world: World, routes: Routes, i: int) -> tuple[float, float]:
         ahead = routes.projection[own, world.route[j], sample, 0] + beyond - world.progress[i]
         if not 0.0 < ahead < LOOK_AHEAD:  # also refuses NaN: j's route does not run along i's there
             continue
-        side = abs(routes.projection[own, world.route[j], sample, 1])
+        side = abs(routes.projection[own, world.route[j], sample, 1] + beside_route(world, routes, j, sample))
         if side > 0.5 * (world.size[i, 1] + world.size[j, 1]) + SIDE_MARGIN:
             continue
         free = ahead - 0.5 * (world.size[i, 0] + world.size[j, 0])
         if free < gap:
             gap, leader_speed = free, world.speed[j]
     return gap, leader_speed
+
+
+@compiled
+def beside_route(world: World, routes: Routes, j: int, sample: int) -> float:
+    """m to the left of its route that vehicle j is, by the sample of the route nearest to it."""
+    route = world.route[j]
+    heading = routes.heading[route, sample]
+    dx = world.position[j, 0] - routes.point[route, sample, 0]
+    dy = world.position[j, 1] - routes.point[route, sample, 1]
+    return float(dy * math.cos(heading) - dx * math.sin(heading))
 
 
 @compiled

@@ -51,10 +51,10 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
 
 def _environment(settings: Settings, record: Record) -> dict[str, Any]:
     """The options that a recorded episode was driven with, and a small picture."""
-    options = settings.environment(contender_named(record.contender).shares)
-    return {**options, "scenario": record.scenario, "config": screen(scenario_named(record.scenario).map, SIZE)}
+    options = settings.environment(record.scenario, contender_named(record.contender).shares)
+    return {**options, "config": screen(scenario_named(record.scenario).map, SIZE)}
 
 
 def _policy(settings: Settings, record: Record) -> Policy:
     """Who drove a recorded episode."""
-    return contender_named(record.contender).make_policy(settings.models())
+    return contender_named(record.contender).make_policy(settings.models(record.scenario))

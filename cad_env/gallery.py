@@ -24,6 +24,7 @@ from cad_env.rollout import rollout
 from cad_env.scenarios import SCENARIOS, scenario_named
 from cad_env.simulation import COLLISION, SUCCESS, Simulation
 from cad_env.types import Image
+from cad_env.world.state import OFF
 
 FIRST_SEED = 1_000_000  # as in evaluation: training never sees these
 SEEDS = 200  # that are searched for an episode worth showing
@@ -86,8 +87,6 @@ def telling_moment(scenario: str, seed: int) -> Image | None:
 def tells(simulation: Simulation) -> bool:
     """True if the ego is blind to the hazard, another sees it, and the ego knows it only from there."""
     row = simulation.scene.hazard_row
-    if row is None:
-        return False
     seen = simulation.fleet.visible[:, row]
     return bool(not seen[0] and seen[1:].any()) and only_told(simulation, row)
 
@@ -96,7 +95,7 @@ def cast(simulation: Simulation, canvas: Canvas) -> None:
     """Say who plays what: who hides the hazard, and which connected vehicle sees it."""
     scene, position = simulation.scene, simulation.world.position
     row = scene.hazard_row
-    if row is None:
+    if simulation.world.driver[row] == OFF:
         return
     parts = [(scene.occluder_row, Tag("hides it"))]
     witnesses = [int(r) for r, sees in zip(simulation.agents, simulation.fleet.visible[:, row], strict=True) if sees]

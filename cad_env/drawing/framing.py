@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from cad_env.scenarios.scene import Map
+from cad_env.scenarios.scenario import Map
 from cad_env.simulation import Simulation
 from cad_env.types import Floats
 

@@ -126,7 +126,7 @@ def _dot_way(simulation: Simulation, canvas: Canvas, ego: int) -> None:
     world, routes = simulation.world, simulation.map.routes
     front = world.progress[ego] + 0.5 * world.size[ego, 0]
     apart = int(WAY_DOTS / routes.spacing)
-    first, last = (int(arc / routes.spacing) for arc in (front + WAY_DOTS, simulation.goal(0)))
+    first, last = (int(arc / routes.spacing) for arc in (front + WAY_DOTS, simulation.scene.goal))
     for place in routes.point[world.route[ego], first - first % apart + apart : last + 1 : apart]:
         canvas.dot(place, EGO_COLOUR, 2.0)
 

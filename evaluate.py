@@ -106,11 +106,10 @@ def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
 def explain(store: "Store", settings: Settings) -> None:
     """Write what helps to understand the scores: animations of episodes, and the report."""
     if settings.gif:
-        from baselines.gifs import write_gifs
+        from baselines.gifs import write_gifs  # here, because only this draws
+        from baselines.store import GIFS
 
-        folder = settings.folder() / "gifs"
-        folder.mkdir(exist_ok=True)
-        write_gifs(settings, store.records.values(), folder, settings.gif)
+        write_gifs(settings, store.records.values(), settings.folder() / GIFS, settings.gif)
     if settings.report:
         report(settings.folder())
 

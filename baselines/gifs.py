@@ -6,6 +6,7 @@ from typing import Any
 
 from baselines.contenders import contender_named
 from baselines.settings import HAZARDS, Settings
+from baselines.store import gif_name
 from cad_env.animation import filmed, write_gif
 from cad_env.drawing.danger import danger
 from cad_env.drawing.framing import screen
@@ -18,7 +19,7 @@ SIZE = 2.0 / 3.0  # of the size of a picture
 
 
 def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, count: int) -> list[Path]:
-    """`<scenario>_<contender>_<outcome>_<seed>.gif` in `folder` for the first `count` seeds of each such kind.
+    """`<scenario>_<contender>_<outcome>_<seed>.gif` in `folder` for `count` episodes of each such kind.
 
     ValueError if an episode does not end as its record says: it was made with other settings, models or code.
     """
@@ -26,9 +27,9 @@ def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, coun
 
 
 def first_of_each(records: Iterable[Record], count: int) -> list[Record]:
-    """Of each scenario, contender and outcome the records with the `count` lowest seeds."""
+    """Of each scenario, contender and outcome `count` records: those with a hazard first, then the lowest seeds."""
     kinds: dict[tuple[str, str, str], list[Record]] = {}
-    for record in sorted(records, key=lambda record: record.seed):
+    for record in sorted(records, key=lambda record: (not record.hazard, record.seed)):
         kinds.setdefault((record.scenario, record.contender, record.outcome), []).append(record)
     return [record for kind in sorted(kinds) for record in kinds[kind][:count]]
 
@@ -45,8 +46,7 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
             f"the episode of seed {record.seed} with {record.contender} ends in {episode.outcome}, "
             f"but was recorded as {record.outcome}: it was made with other settings, models or code"
         )
-    name = f"{record.scenario}_{record.contender}_{record.outcome}_{record.seed}.gif"
-    return write_gif(frames, folder / name)
+    return write_gif(frames, folder / gif_name(record))
 
 
 def _environment(settings: Settings, record: Record) -> dict[str, Any]:

@@ -69,7 +69,12 @@ def key_of(record: Record) -> Key:
 
 def gif_of(folder: Path, record: Record) -> Path:
     """Where the animation of an episode is, if there is one."""
-    return folder / GIFS / f"{record.scenario}_{record.contender}_{record.outcome}_{record.seed}.gif"
+    return folder / GIFS / gif_name(record)
+
+
+def gif_name(record: Record) -> str:
+    """`<scenario>_<contender>_<outcome>_<seed>.gif`."""
+    return f"{record.scenario}_{record.contender}_{record.outcome}_{record.seed}.gif"
 
 
 def read_settings(folder: Path) -> dict[str, Any]:

@@ -10,13 +10,14 @@ from baselines.scoring import drive
 from baselines.settings import Settings
 from cad_env.score import Record
 
-SETTINGS = Settings(contender=("always-go", "planner-shared"), hazard="yes", episodes=2, first_seed=1_000_023)
+SETTINGS = Settings(
+    scenario=("left_turn",), contender=("always-go", "planner-shared"), hazard="yes", episodes=2, first_seed=1_000_023
+)
 
 
 @pytest.fixture(scope="module")
 def records() -> list[Record]:
-    seeds = list(SETTINGS.seeds())
-    return [record for name in SETTINGS.contender for record in drive(SETTINGS, (name, seeds))]
+    return [record for task in SETTINGS.tasks() for record in drive(SETTINGS, task)]
 
 
 def test_the_first_seeds_of_each_kind_are_chosen(records: list[Record]):
@@ -29,6 +30,11 @@ def test_the_first_seeds_of_each_kind_are_chosen(records: list[Record]):
         ("left_turn", "success", 5),
     ]  # fmt: skip
     assert first_of_each(some, 0) == []
+
+
+def test_an_episode_with_a_hazard_tells_more_than_one_without(records: list[Record]):
+    calm, hazard = replace(records[0], seed=1, hazard=False), replace(records[0], seed=2, hazard=True)
+    assert first_of_each([calm, hazard], 1) == [hazard]
 
 
 def test_recorded_episodes_are_driven_again_and_written(records: list[Record], tmp_path: Path):

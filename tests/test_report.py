@@ -171,7 +171,6 @@ def test_the_command_writes_a_report_that_names_the_command(tmp_path: Path, caps
 
 
 def test_the_command_animates_an_episode_of_each_kind(tmp_path: Path) -> None:
-    pytest.importorskip("baselines.gifs")
     some = ["--scenario", "left_turn", "--contender", "always-go", "--episodes", "2", "--hazard", "yes", "--gif", "1"]
     assert evaluate.main([*some, "--out", str(tmp_path)]) == 0
     assert [path.name for path in (tmp_path / "gifs").iterdir()] == ["left_turn_always-go_collision_1000000.gif"]

@@ -131,7 +131,7 @@ def background(road: Map, cast: Cast, rng: np.random.Generator) -> Groups:
     return [
         stream(rng, east, ego.progress - rng.uniform(14.0, 25.0), ego.target_speed, 4, (14.0, 25.0)),
         stream(rng, east, -WEST + rng.uniform(130.0, 150.0), leaving, 4, (25.0, 32.0), bystander=True),
-        stream(rng, oncoming, passing.progress + 150.0, passing.target_speed + 1.0, 5, (25.0, 30.0), bystander=True),
+        stream(rng, oncoming, passing.progress + 150.0, 1.05 * passing.target_speed + 1.0, 5, (25.0, 30.0), bystander=True),
         stream(rng, oncoming, rng.uniform(60.0, 80.0), min(hidden.target_speed, 13.0), 3, (20.0, 28.0), bystander=True),
     ]
 

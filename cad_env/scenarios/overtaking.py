@@ -126,12 +126,12 @@ def _hidden(
 def background(road: Map, cast: Cast, rng: np.random.Generator) -> Groups:
     """Who drives behind the ego and far ahead of it, who has come by already, and who is a long way off."""
     ego, hidden, passing = (cast.vehicles[row] for row in (EGO, HIDDEN, 4))
-    leaving = ego.target_speed + rng.uniform(1.0, 3.0)
+    leaving, passed = ego.target_speed + rng.uniform(1.0, 3.0), 1.05 * passing.target_speed + 1.0
     east, oncoming = road.route("east"), road.route("oncoming")
     return [
-        stream(rng, east, ego.progress - rng.uniform(14.0, 25.0), ego.target_speed, 4, (14.0, 25.0)),
+        stream(rng, east, ego.progress - rng.uniform(14.0, 25.0), ego.target_speed, 5, (14.0, 25.0)),
         stream(rng, east, -WEST + rng.uniform(130.0, 150.0), leaving, 4, (25.0, 32.0), bystander=True),
-        stream(rng, oncoming, passing.progress + 150.0, 1.05 * passing.target_speed + 1.0, 5, (25.0, 30.0), bystander=True),
+        stream(rng, oncoming, passing.progress + 190.0, passed, 4, (40.0, 45.0), bystander=True),
         stream(rng, oncoming, rng.uniform(60.0, 80.0), min(hidden.target_speed, 13.0), 3, (20.0, 28.0), bystander=True),
     ]
 

@@ -32,10 +32,10 @@ class TrainSettings:
     scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing network is trained and scored on
-    episodes: int = 1000  # of each scenario, driven by the expert
-    corrections: int = 0  # rounds in which the network drives and the expert labels (DAgger)
-    steps: int = 1800  # optimiser steps of the first round; later rounds take half as many
-    validation: int = 100  # closed-loop episodes of each scenario after each third of a round, to choose a checkpoint
+    episodes: int = 600  # of each scenario, driven by the expert
+    corrections: int = 2  # rounds in which the network drives and the expert labels (DAgger)
+    steps: int = 2400  # optimiser steps of the first round; later rounds take half as many
+    validation: int = 60  # closed-loop episodes of each scenario after each third of a round, to choose a checkpoint
     seed: int = 0  # of the networks and of everything drawn while training
     score: int = 300  # episodes per contender and scenario at the end; 0 trains only
     jobs: int = 2  # processes
@@ -96,7 +96,7 @@ def courses(settings: TrainSettings) -> dict[str, Any]:
         return Course(
             scenarios=settings.scenarios(), radio=radio, seed=settings.seed, episodes=settings.episodes,
             corrections=settings.corrections, steps=settings.steps, validation=settings.validation,
-            final_validation=settings.validation * 3 // 2, network=StGraphConfig(velocity=settings.velocity),
+            final_validation=settings.validation * 5 // 3, network=StGraphConfig(velocity=settings.velocity),
         )  # fmt: skip
 
     return {"shared": course(settings.radio), "own": course("none")}

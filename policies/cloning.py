@@ -26,7 +26,7 @@ from policies.stgraph import StGraphNet
 class Recipe:
     """How a network is fitted."""
 
-    batch: int = 64  # graphs
+    batch: int = 96  # graphs
     learning_rate: float = 5e-3  # of Adam, at the start of a round; falls to a tenth by a cosine
     brake_share: float = 0.3  # of every batch; in the recorded frames it is about a tenth
 

@@ -32,7 +32,7 @@ SIDE_BY_SIDE = 32
 FINALISTS = 2  # checkpoints that are validated once more, at every threshold
 
 # What one unit of each kind of work costs, relative to an optimiser step: for an honest progress bar.
-EXPERT_COST, DRIVEN_COST = 1.2, 2.2
+EXPERT_COST, DRIVEN_COST = 0.9, 1.6
 
 Advance = Callable[[float], object]
 
@@ -44,13 +44,13 @@ class Course:
     scenarios: tuple[str, ...] = tuple(SCENARIOS)
     radio: str = "dsrc"  # none: trained, as it will be run, without sharing
     seed: int = 0
-    episodes: int = 1000  # driven by the expert
-    corrections: int = 0  # DAgger rounds: the network drives, the expert labels
-    corrected_episodes: int = 256  # in each of them
-    steps: int = 1800  # optimiser steps of the first round; half as many in each later one
+    episodes: int = 600  # driven by the expert
+    corrections: int = 2  # DAgger rounds: the network drives, the expert labels
+    corrected_episodes: int = 200  # in each of them
+    steps: int = 2400  # optimiser steps of the first round; half as many in each later one
     segments: int = 3  # parts of a round; a checkpoint and a validation after each
-    validation: int = 100  # episodes after each segment
-    final_validation: int = 150  # episodes for each of the best checkpoints and thresholds
+    validation: int = 60  # episodes after each segment
+    final_validation: int = 100  # episodes for each of the best checkpoints and thresholds
     thresholds: tuple[float, ...] = (0.5, 0.35)
     recipe: Recipe = field(default_factory=Recipe)
     network: StGraphConfig = field(default_factory=StGraphConfig)

@@ -126,6 +126,8 @@ EXTREMES = [
     {"sensor": {"noise": 10.0, "miss": 0.5, "gnss_noise": 50.0, "gnss_yaw_noise": 3.0, "range": 500.0}},
     {"radio": {"rate": 2e6, "loss": 0.5, "delay": 1.4}, "depth": 1},
     {"radio": "none", "traffic": "dense", "ranges": {"ego_speed": (20.0, 20.0), "collaborators": (4, 4)}},
+    {"scenario": "overtaking", "traffic": "dense"},
+    {"scenario": "street_crossing", "penetration": 1.0},
 ]
 
 

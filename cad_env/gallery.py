@@ -23,12 +23,13 @@ from cad_env.planner import Planner
 from cad_env.rollout import rollout
 from cad_env.scenarios import SCENARIOS, scenario_named
 from cad_env.simulation import COLLISION, SUCCESS, Simulation
-from cad_env.types import Image
+from cad_env.types import BRAKE, Image
 from cad_env.world.state import OFF
 
 FIRST_SEED = 1_000_000  # as in evaluation: training never sees these
 SEEDS = 200  # that are searched for an episode worth showing
-FILM = 2.0 / 3.0  # of the size of a picture
+CLEAR = 8  # decisions to brake on a word, from which on anyone sees that it is one
+FILM = 0.6  # of the size of a picture
 SHADES = 128  # colours of a drawing
 
 
@@ -68,13 +69,13 @@ def write_drawing(scenario: str, folder: Path) -> Path:
 
 
 def telling_moment(scenario: str, seed: int) -> Image | None:
-    """The picture of an episode's moment that `tells`; of several, that with the hazard closest to the ego."""
+    """The moment of an episode that `tells` and has the ego brake; of several, that with the hazard closest to it."""
     env = CADEnv(scenario=scenario)
     found: list[tuple[float, Image]] = []
 
     def watch(env: CADEnv, *_: object) -> None:
         world, row = env.simulation.world, env.simulation.scene.hazard_row
-        if row is not None and tells(env.simulation):
+        if tells(env.simulation) and world.command[0, -1] == BRAKE:
             away = float(np.hypot(*(world.position[row] - world.position[0])))
             if not found or away < found[0][0]:
                 found[:] = [(away, picture(env, (cast, danger)))]
@@ -111,9 +112,7 @@ def write_comparison(scenario: str, folder: Path) -> Path:
     size = screen(scenario_named(scenario).map, FILM)
     alone, sharing = (CADEnv(config={**size, "scenario": scenario, "radio": radio}) for radio in ("none", "dsrc"))
     for seed in _seeds():
-        if rollout(alone, Planner(), seed, hazard=True).outcome != COLLISION:
-            continue
-        if rollout(sharing, Planner(), seed, hazard=True).outcome == SUCCESS:
+        if rollout(alone, Planner(), seed, hazard=True).outcome == COLLISION and saved_by_word(sharing, seed):
             break
     else:
         raise ValueError(f"{scenario}: sharing changes nothing in {SEEDS} episodes")
@@ -122,6 +121,17 @@ def write_comparison(scenario: str, folder: Path) -> Path:
         for env, words in ((alone, "ALONE"), (sharing, "SHARING"))
     ]
     return write_gif(side_by_side(*films), folder / "alone_or_sharing.gif")
+
+
+def saved_by_word(env: CADEnv, seed: int) -> bool:
+    """True if the ego arrives, having braked for a while for what it was only told of."""
+    moments = 0
+
+    def watch(env: CADEnv, _: object, action: int) -> None:
+        nonlocal moments
+        moments += action == BRAKE and tells(env.simulation)
+
+    return rollout(env, Planner(), seed, hazard=True, watch=watch).outcome == SUCCESS and moments >= CLEAR
 
 
 def titled(words: str) -> Layer:

@@ -11,7 +11,7 @@ from cad_env.types import Floats
 
 Colour = tuple[int, int, int]
 FINE = 2  # everything is drawn so many times larger than it is shown, which smooths its edges
-ASIDE = 14.0  # pixels from a place to a label beside it
+ASIDE = (14.0, 22.0, 34.0)  # pixels from a place to a label beside it, as there is room
 WHITE, BLACK, PANEL = (255, 255, 255), (0, 0, 0), (24, 28, 34)
 PANEL_OPACITY = 0.92
 
@@ -109,9 +109,9 @@ class Canvas:
 
     def label_beside(self, place: Floats, tag: Tag) -> None:
         """A tag to the left, to the right, above or below a place (2,) m: where there is room first."""
-        half = self._extent(tag) / 2 + FINE * np.array([ASIDE, 0.6 * ASIDE])
-        shifts = half / self.surface.scaling * [[-1, 0], [1, 0], [0, 1], [0, -1], [-1, 1], [1, 1], [-1, -1], [1, -1]]
-        self.label([place + shift for shift in shifts], tag)
+        around = np.array([[-1, 0], [1, 0], [0, 1], [0, -1], [-1, 1], [1, 1], [-1, -1], [1, -1]]) / self.surface.scaling
+        halves = (self._extent(tag) / 2 + FINE * away * np.array([1.0, 0.6]) for away in ASIDE)
+        self.label([place + shift for half in halves for shift in half * around], tag)
 
     def note(self, x: float, y: float, tag: Tag, share: float = 0.0) -> float:
         """A tag of which a share is left of pixel (x, y), in the middle of its height; answers where it ends."""

@@ -29,7 +29,7 @@ def only_told(simulation: Simulation, row: int) -> bool:
 def danger(simulation: Simulation, canvas: Canvas) -> None:
     """Say beside the hidden vehicle, while the ego cannot see it, whether the ego knows of it all the same."""
     row, world = simulation.scene.hazard_row, simulation.world
-    if row is None or world.driver[row] == OFF or who_sees(simulation)[row] == EGO_SEES:
+    if world.driver[row] == OFF or who_sees(simulation)[row] == EGO_SEES:
         return
     tag = Tag("hidden, and the ego does not know", STOP_COLOUR)
     if only_told(simulation, row):

@@ -9,7 +9,7 @@ from cad_env.drawing.canvas import BLACK, PANEL, WHITE, Canvas, Colour
 from cad_env.drawing.layers import LINK_COLOUR, LOST_COLOUR, SEEN_COLOURS, SHADE
 
 ROW, SIZE, WIDTH = 16.0, 11, 150.0  # pixels
-HIGHEST = 0.28  # of the picture's height; more marks stand in a further column
+HIGHEST = 0.34  # of the picture's height; more marks stand in a further column
 
 Entry = tuple[str, str, Colour]  # kind of mark, words, colour
 ENTRIES: dict[str, tuple[Entry, ...]] = {

@@ -42,7 +42,7 @@ Arrays = dict[str, np.ndarray]
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Frames:
     folder = tmp_path_factory.mktemp("demonstrations")
-    return record(folder, lambda: CADEnv(scenario="left_turn"), Expert(), range(8), lambda _: None)
+    return record(folder, [CADEnv(scenario="left_turn")], Expert(), range(8), lambda _: None)
 
 
 def differences(net: StGraphNet, batch: Arrays) -> tuple[float, float]:

@@ -30,7 +30,12 @@ __version__ = "0.1.0"
 # Ids by name, not by import, so that `import cad_env` stays instant.
 for _id, _scenario in {"CADLeftTurn-v0": "left_turn"}.items():
     if _id not in gym.registry:
-        gym.register(_id, entry_point="cad_env.env:CADEnv", kwargs={"scenario": _scenario})
+        gym.register(
+            _id,
+            entry_point="cad_env.env:CADEnv",
+            vector_entry_point="cad_env.vector:CADVectorEnv",
+            kwargs={"scenario": _scenario},
+        )
 
 
 def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> "CADParallelEnv":

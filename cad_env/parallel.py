@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from cad_env.env import FINAL_REWARD, RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
+from cad_env.env import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
 from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
 from cad_env.scenarios import SCENARIOS
@@ -60,9 +60,6 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
             self.np_random = np.random.default_rng(seed)
         self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard)
         self.agents = self.possible_agents[: len(self.simulation.agents)]
-        rows = self.simulation.agents
-        self._progress = self.simulation.world.progress[rows].copy()
-        self._way = np.array([self.simulation.goal(k) for k in range(len(rows))]) - self._progress
         return self._observations(), {agent: self._info(k) for k, agent in enumerate(self.agents)}
 
     def step(
@@ -80,7 +77,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
             chosen[self._index(agent)] = checked_action(action)
         self.simulation.step(chosen)
         outcomes = {agent: self.simulation.outcome(self._index(agent)) for agent in self.agents}
-        rewards = self._rewards(outcomes)
+        rewards = {agent: self.simulation.reward(self._index(agent)) for agent in self.agents}
         observations = self._observations()
         infos = {agent: self._info(self._index(agent)) for agent in self.agents}
         terminations = {agent: outcome in (SUCCESS, COLLISION) for agent, outcome in outcomes.items()}
@@ -93,13 +90,6 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
 
     def _observations(self) -> dict[str, Observation]:
         return {agent: self.simulation.observation(self._index(agent)) for agent in self.agents}
-
-    def _rewards(self, outcomes: Mapping[str, str | None]) -> dict[str, float]:
-        """As in CADEnv: the share of one's own way, +1 on arrival, -1 on a collision."""
-        progress = self.simulation.world.progress[self.simulation.agents]
-        share = (progress - self._progress) / np.maximum(self._way, 1.0)
-        self._progress = progress.copy()
-        return {a: float(share[self._index(a)]) + FINAL_REWARD.get(outcome, 0.0) for a, outcome in outcomes.items()}
 
     def _info(self, index: int) -> dict[str, Any]:
         simulation, air = self.simulation, self.simulation.fleet.report

@@ -9,7 +9,7 @@ Once waiting would leave the ego in the way, only true contacts count: it goes i
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,14 @@ class Truth:
     world: World
     routes: Routes
     row: int
+
+
+@dataclass(frozen=True)
+class Truths:
+    """The same of the egos of many scenes: the typed list of live scenes, and which of them, (n,)."""
+
+    scenes: Any
+    which: Ints
 
 
 @compiled
@@ -141,6 +149,14 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
     way[0, 0], way[0, 1] = world.position[row, 0], world.position[row, 1]
     ego = np.array([world.speed[row], world.target_speed[row], world.size[row, 0], world.size[row, 1]])
     return decide(way, ego, others[:n], rule)
+
+
+@compiled
+def decide_on_truths(scenes: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
+    """Write the expert's decisions for the egos of the live scenes `which` (n,) to chosen (n,)."""
+    for k in range(which.shape[0]):
+        scene = scenes[which[k]]
+        chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)
 
 
 @compiled
@@ -225,3 +241,9 @@ class Expert:
     def act(self, observation: Truth) -> int:
         """GO or BRAKE on the truth."""
         return decide_on_truth(observation.world, observation.routes, observation.row, self.config.rule)
+
+    def act_batch(self, observations: Truths) -> Ints:
+        """GO or BRAKE, (n,), in n scenes."""
+        chosen = np.empty(len(observations.which), np.int64)
+        decide_on_truths(observations.scenes, observations.which, self.config.rule, chosen)
+        return chosen

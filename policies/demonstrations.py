@@ -18,6 +18,7 @@ from cad_env.env import CADEnv
 from cad_env.files import replace_file
 from cad_env.planner import Expert
 from cad_env.rollout import rollouts
+from cad_env.simulation import Simulation
 from cad_env.types import FRAMES, OBSERVED_TRACKS, Floats, Ints, Observation, Policy
 
 SHARD_EPISODES = 64
@@ -114,10 +115,10 @@ def _drive(envs: Sequence[CADEnv], driver: Policy, expert: Expert, seeds: Sequen
     labels: list[int] = []
     owner: list[int] = []
 
-    def watch(env: CADEnv, observation: Observation, _: int) -> None:
+    def watch(simulation: Simulation, observation: Observation, _: int) -> None:
         seen.append(observation)
-        labels.append(expert.act(env.truth()))
-        owner.append(env.simulation.seed)
+        labels.append(expert.act(simulation.truth()))
+        owner.append(simulation.seed)
 
     for _ in rollouts(envs, driver, seeds, watch=watch):
         pass

@@ -367,9 +367,9 @@ def test_law_9_side_by_side_is_as_alone():
     numbers, seen = range(100, 113), {"alone": {}, "together": {}}
 
     def watch(how: str):
-        def note(env: CADEnv, observation: dict, action: int) -> None:
+        def note(simulation: Simulation, observation: dict, action: int) -> None:
             parts = b"".join(observation[name].tobytes() for name in sorted(observation))
-            seen[how].setdefault(env.simulation.seed, []).append((parts, action))
+            seen[how].setdefault(simulation.seed, []).append((parts, action))
 
         return note
 

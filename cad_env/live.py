@@ -1,0 +1,161 @@
+"""A scene under way as one record, and the compiled loops that move one such scene or a thousand.
+
+Every environment steps its scenes by `advance_scenes` and `perceive_scenes`. They get a typed list of records: each
+scene has its own numbers of vehicles, and a call from Python costs 2 us however many arrays the records hold.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import typeof
+from numba.typed import List
+
+from cad_env.compiled import compiled, compiled_part
+from cad_env.pipeline.observe import View, empty_view
+from cad_env.pipeline.radio import ACCEPTED, Link
+from cad_env.pipeline.sense import Sensing
+from cad_env.pipeline.step import Fleet, run
+from cad_env.types import Floats, Ints
+from cad_env.world.clearance import time_to_contact
+from cad_env.world.state import Routes, World
+from cad_env.world.step import advance
+
+MAX_STEPS = 300  # decisions: 30 s
+# How an episode stands for one of its agents, as compiled code knows it, and the reward that comes with it.
+UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3
+FINAL_REWARD = (0.0, 1.0, -1.0, 0.0)
+LEAST_WAY = 1.0  # m, so that an agent that starts at its goal has a finite reward
+
+
+class Told(NamedTuple):
+    """What the newest step came to, for the ego: the numbers of info dicts. Of many scenes (S,), of one (1,)."""
+
+    outcome: Ints  # int8
+    reward: Floats
+    speed: Floats  # m/s
+    min_ttc: Floats  # s, least time to contact so far
+    bytes_sent: Ints  # by all connected vehicles, as what follows
+    bytes_received: Ints  # by the ego
+    largest_message: Ints  # bytes
+    messages_sent: Ints
+    messages_lost: Ints  # on their way to the ego
+    refused: Ints  # why the first message that was refused was, 0 if none was
+
+
+class Task(NamedTuple):
+    """Where R agents are going and how far they have come."""
+
+    goal: Floats  # (R,) m along its route, where each has arrived
+    start: Floats  # (R,) m, where each was at first
+    progress: Floats  # (R,) m, where each was when it was last rewarded
+    outcome: Ints  # (R,) int8 how the episode stands for each
+    reward: Floats  # (R,) of the newest step
+
+
+class LiveScene(NamedTuple):
+    """V connected vehicles among N, of which the first R merge, observe and decide."""
+
+    world: World
+    routes: Routes
+    fleet: Fleet
+    sensor: Sensing
+    link: Link
+    depth: int  # newest frames in a message
+    keys: Ints  # (2, 2) uint64 of the streams of chance
+    clock: Ints  # (1,) decisions so far
+    actions: Ints  # (V,) GO or BRAKE
+    task: Task
+    told: Told
+    scratch: Floats  # (N,)
+
+
+class Board:
+    """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
+
+    def __init__(self, places: int) -> None:
+        count, number = (lambda: np.zeros(places, np.int64)), (lambda: np.zeros(places))
+        self.told = Told(
+            np.zeros(places, np.int8), number(), number(), number(), *(count() for _ in range(len(Told._fields) - 4))
+        )
+        self.views: View = empty_view(places, 1)  # what each ego decides on
+        self.scenes: Any = None  # the typed list, once there is a record to tell its type
+
+    def told_at(self, place: int) -> Told:
+        """The part of the scene at `place`."""
+        return Told(*(part[place : place + 1] for part in self.told))
+
+    def views_at(self, place: int) -> View:
+        """The part of the scene at `place`, (1, ...)."""
+        return View(*(part[place] for part in self.views))
+
+    def put(self, place: int, scene: LiveScene) -> None:
+        """Let a new scene take a place."""
+        if self.scenes is None:
+            self.scenes = _no_scenes(typeof(scene))
+        _put(self.scenes, place, scene)
+
+
+@compiled
+def _no_scenes(kind: Any) -> Any:
+    return List.empty_list(kind)
+
+
+@compiled
+def _put(scenes: Any, place: int, scene: LiveScene) -> None:
+    while len(scenes) <= place:
+        scenes.append(scene)
+    scenes[place] = scene
+
+
+@compiled
+def advance_scenes(scenes: Any, which: Ints, actions: Ints) -> None:
+    """Let 0.1 s pass in the scenes `which` (n,), whose egos decide `actions` (n,)."""
+    for k in range(which.shape[0]):
+        scene = scenes[which[k]]
+        scene.actions[0] = actions[k]
+        advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
+        scene.clock[0] += 1
+
+
+@compiled
+def perceive_scenes(scenes: Any, which: Ints) -> None:
+    """Let everybody in the scenes `which` (n,) perceive, share and observe, and tell how they stand."""
+    for k in range(which.shape[0]):
+        scene = scenes[which[k]]
+        run(
+            scene.world, scene.routes, scene.fleet, scene.sensor, scene.link, scene.depth, scene.keys, scene.clock[0]
+        )  # fmt: skip
+        for agent in range(scene.task.goal.shape[0]):
+            reward(scene.task, agent, scene.world, scene.fleet.rows[agent], scene.clock[0])
+        tell(scene)
+
+
+@compiled_part
+def reward(task: Task, agent: int, world: World, row: int, steps: int) -> None:
+    """How the episode stands for an agent, and its reward: the share of its way that it covered, and the final one."""
+    progress, outcome = world.progress[row], UNDER_WAY
+    if world.struck[row] >= 0:
+        outcome = COLLIDED
+    elif progress >= task.goal[agent]:
+        outcome = SUCCEEDED
+    elif steps >= MAX_STEPS:
+        outcome = TIMED_OUT
+    covered = progress - task.progress[agent]
+    task.reward[agent] = covered / max(task.goal[agent] - task.start[agent], LEAST_WAY) + FINAL_REWARD[outcome]
+    task.progress[agent], task.outcome[agent] = progress, outcome
+
+
+@compiled_part
+def tell(scene: LiveScene) -> None:
+    """Write down what the newest step came to."""
+    world, told, air = scene.world, scene.told, scene.fleet.report
+    told.outcome[0], told.reward[0], told.speed[0] = scene.task.outcome[0], scene.task.reward[0], world.speed[0]
+    told.min_ttc[0] = min(told.min_ttc[0], time_to_contact(world, 0))
+    told.bytes_sent[0] = told.largest_message[0] = told.messages_sent[0] = told.refused[0] = 0
+    for v in range(air.sent_bytes.shape[0]):
+        told.bytes_sent[0] += air.sent_bytes[v]
+        told.largest_message[0] = max(told.largest_message[0], air.sent_bytes[v])
+        told.messages_sent[0] += air.refusal[v] == ACCEPTED
+        if told.refused[0] == ACCEPTED:
+            told.refused[0] = air.refusal[v]
+    told.bytes_received[0], told.messages_lost[0] = air.received_bytes[0], air.lost[0]

@@ -28,7 +28,12 @@ __all__ = ["BRAKE", "GO", "RADIO_PRESETS", "Command", "RadioConfig", "SensorConf
 __version__ = "0.1.0"
 
 # Ids by name, not by import, so that `import cad_env` stays instant.
-for _id, _scenario in {"CADLeftTurn-v0": "left_turn"}.items():
+_IDS = {
+    "CADLeftTurn-v0": "left_turn",
+    "CADOvertaking-v0": "overtaking",
+    "CADStreetCrossing-v0": "street_crossing",
+}
+for _id, _scenario in _IDS.items():
     if _id not in gym.registry:
         gym.register(
             _id,

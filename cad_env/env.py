@@ -17,16 +17,17 @@ from cad_env.types import BRAKE, GO, Floats, Observation
 from cad_env.views import NorthUpViewer, WorldRoad
 
 RENDER_MODES = ("human", "rgb_array")
-_SETUP = ("scenario", "traffic", "sensor", "radio", "depth")
+_SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth")
 
 
 class CADEnv(AbstractEnv):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
-    dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `traffic` (dict of the scenario's
-    ranges), `object_lists` (True adds to info what each connected vehicle tracks). The reward of a step is the share
-    of the way to the goal covered in it, +1 on arrival, -1 on a collision.
+    dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `traffic` (none, light or dense),
+    `penetration` (share of the vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is
+    drawn from), `object_lists` (True adds to info what each connected vehicle tracks). The reward of a step is the
+    share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})

@@ -73,10 +73,10 @@ class Board:
     """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
 
     def __init__(self, places: int) -> None:
-        count, number = (lambda: np.zeros(places, np.int64)), (lambda: np.zeros(places))
         self.told = Told(
-            np.zeros(places, np.int8), number(), number(), number(), *(count() for _ in range(len(Told._fields) - 4))
-        )
+            np.zeros(places, np.int8), *(np.zeros(places) for _ in range(3)),
+            *(np.zeros(places, np.int64) for _ in range(6)),
+        )  # fmt: skip
         self.views: View = empty_view(places, 1)  # what each ego decides on
         self.scenes: Any = None  # the typed list, once there is a record to tell its type
 

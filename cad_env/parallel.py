@@ -24,19 +24,20 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
     """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
 
     A vehicle that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
-    Keyword arguments as for CADEnv; there are three collaborators unless `traffic` says otherwise.
+    Keyword arguments as for CADEnv; there are three collaborators unless `ranges` or `penetration` say otherwise.
     """
 
     metadata = {"name": "cad_v0", "render_modes": list(RENDER_MODES), "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
-        traffic = options.pop("traffic", {})
-        if isinstance(traffic, Mapping):
-            traffic = {"collaborators": COLLABORATORS, **traffic}
-        self.simulation = Simulation(setup_from({**options, "traffic": traffic}))
+        ranges = options.pop("ranges", {})
+        if isinstance(ranges, Mapping):
+            ranges = {"collaborators": COLLABORATORS, **ranges}
+        self.simulation = Simulation(setup_from({**options, "ranges": ranges}))
         self.render_mode = render_mode
-        self.possible_agents = [f"cav_{k}" for k in range(1 + self.simulation.traffic.collaborators[1])]
+        most = self.simulation.scenario.most_connected(self.simulation.ranges, self.simulation.traffic)
+        self.possible_agents = [f"cav_{k}" for k in range(most)]
         self.agents: list[str] = []
         self.np_random = np.random.default_rng()
         self._viewer: NorthUpViewer | None = None

@@ -5,6 +5,8 @@ vehicles count: following the stream is the driver model's work. A vehicle's bod
 in `ahead` and `behind` seconds, so that the ego neither cuts in before it nor slips in just behind it: this
 *waiting* rule is what a clone can learn from what it sees (a clone that copies a close shave misses it).
 Once waiting would leave the ego in the way, only true contacts count: it goes if that is free and braking is not.
+Before a stretch on which it drives in a lane of oncoming traffic the ego looks as far ahead as it needs to be through
+with it, and waits at its gate: once it is out there, braking does not help.
 """
 
 import math
@@ -34,6 +36,7 @@ class Rule(NamedTuple):
     ahead: float
     behind: float
     margin: float
+    gate: float
 
 
 @dataclass(frozen=True)
@@ -44,17 +47,19 @@ class PlannerConfig:
     ahead: float = 0.7  # s of its travel by which a vehicle is lengthened in front ...
     behind: float = 2.0  # s ... and behind
     margin: float = 0.5  # m around every vehicle
+    gate: float = 15.0  # m before an oncoming lane, where all of the way through it must be free
 
     def __post_init__(self) -> None:
         check_range("look_ahead", self.look_ahead, STEP, 30.0)
         check_range("ahead", self.ahead, 0.0, 10.0)
         check_range("behind", self.behind, 0.0, 10.0)
         check_range("margin", self.margin, 0.0, 5.0)
+        check_range("gate", self.gate, 0.0, 80.0)
 
     @property
     def rule(self) -> Rule:
         """The compiled code's view."""
-        return Rule(float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin))
+        return Rule(float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin), float(self.gate))
 
 
 @dataclass(frozen=True)
@@ -117,12 +122,46 @@ def contact_ahead(way: Floats, ego: Floats, others: Floats, braking: bool, secon
 
 
 @compiled
-def decide(way: Floats, ego: Floats, others: Floats, rule: Rule) -> int:
-    """GO or BRAKE by the rules of this module; arguments as in `contact_ahead`."""
-    if not contact_ahead(way, ego, others, False, rule.look_ahead, rule.ahead, rule.behind, rule.margin):
+def seconds_for(ego: Floats, distance: float) -> float:
+    """Seconds that the ego (4,) takes for a distance, m, if it goes."""
+    speed, arc, time = ego[0], 0.0, 0.0
+    while arc < distance:
+        arc += speed * STEP
+        speed += idm_acceleration(speed, ego[1], math.inf, 0.0) * STEP
+        time += STEP
+    return time
+
+
+@compiled
+def stopping_distance(speed: float) -> float:
+    """m that the ego still covers if it brakes now."""
+    return speed * COMMAND_DELAY * STEP + 0.5 * speed * speed / COMMANDED_BRAKING
+
+
+@compiled
+def oncoming_stretch(oncoming: Ints, spacing: float) -> tuple[float, float]:
+    """(m, m) from where to where the way is in an oncoming lane, by its points (P,) so many metres apart; inf: not."""
+    start = end = math.inf
+    for p in range(oncoming.shape[0]):
+        if oncoming[p]:
+            start, end = min(start, p * spacing), (p + 1) * spacing
+        elif start < math.inf:
+            break
+    return start, end
+
+
+@compiled
+def decide(way: Floats, ego: Floats, others: Floats, stretch: tuple[float, float], rule: Rule) -> int:
+    """GO or BRAKE by the rules of this module; `stretch` as from `oncoming_stretch`, the rest as in `contact_ahead`."""
+    seconds, ahead, behind = rule.look_ahead, rule.ahead, rule.behind
+    if stretch[0] <= rule.gate:
+        seconds = max(seconds, seconds_for(ego, stretch[1]))
+        if stretch[0] < stopping_distance(ego[0]):  # too late to wait: only true contacts count
+            ahead = behind = 0.0
+    if not contact_ahead(way, ego, others, False, seconds, ahead, behind, rule.margin):
         return GO
-    going = contact_ahead(way, ego, others, False, rule.look_ahead, 0.0, 0.0, rule.margin)
-    stopping = contact_ahead(way, ego, others, True, rule.look_ahead, 0.0, 0.0, rule.margin)
+    going = contact_ahead(way, ego, others, False, seconds, 0.0, 0.0, rule.margin)
+    stopping = contact_ahead(way, ego, others, True, seconds, 0.0, 0.0, rule.margin)
     return GO if stopping and not going else BRAKE
 
 
@@ -139,16 +178,20 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
         others[n, 2], others[n, 3] = world.heading[k], world.speed[k]
         others[n, 4], others[n, 5] = world.size[k, 0], world.size[k, 1]
         n += 1
-    reach = int((rule.look_ahead * max(world.speed[row], world.target_speed[row])) / ROUTE_SPACING) + 3
-    way = np.empty((reach, 2))
     last = routes.point.shape[1] - 1
     route = world.route[row]
-    for p in range(reach):
+    here = min(int(world.progress[row] / routes.spacing + 0.5), last)
+    stretch = oncoming_stretch(routes.oncoming[route, here:], routes.spacing)
+    seen = rule.look_ahead * max(world.speed[row], world.target_speed[row])
+    if stretch[0] <= rule.gate:
+        seen = max(seen, stretch[1])
+    way = np.empty((int(seen / ROUTE_SPACING) + 3, 2))
+    for p in range(way.shape[0]):
         index = min(int((world.progress[row] + p * ROUTE_SPACING) / routes.spacing + 0.5), last)
         way[p, 0], way[p, 1] = routes.point[route, index, 0], routes.point[route, index, 1]
     way[0, 0], way[0, 1] = world.position[row, 0], world.position[row, 1]
     ego = np.array([world.speed[row], world.target_speed[row], world.size[row, 0], world.size[row, 1]])
-    return decide(way, ego, others[:n], rule)
+    return decide(way, ego, others[:n], stretch, rule)
 
 
 @compiled
@@ -161,7 +204,7 @@ def decide_on_truths(scenes: Any, which: Ints, rule: Rule, chosen: Ints) -> None
 
 @compiled
 def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
-                   rule: Rule) -> int:  # fmt: skip
+                   oncoming: Ints, rule: Rule) -> int:  # fmt: skip
     """The planner's decision on the fields of an observation."""
     others = np.empty((mask.shape[0], 6))
     n = 0
@@ -173,20 +216,41 @@ def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego
     way = np.zeros((route.shape[0] + 1, 2))  # the ego is the origin
     for p in range(route.shape[0]):
         way[p + 1, 0], way[p + 1, 1] = route[p, 0], route[p, 1]
-    return decide(way, ego.astype(np.float64), others[:n], rule)
+    stretch = oncoming_stretch(oncoming, ROUTE_SPACING)
+    return decide(way, ego.astype(np.float64), others[:n], stretch, rule)
 
 
 @compiled
 def fit_motion(track: Floats, mask: Ints, odometry: Floats, motion: Floats) -> bool:
-    """Fit a straight motion to a track's newest nodes and write x, y (m, now), heading (rad), speed (m/s).
+    """Fit a straight motion to a track's nodes and write x, y (m, now), heading (rad), speed (m/s).
 
-    track (T, 3) in the ego frame of each frame, odometry (T, 3) those frames in the newest one. False if fewer than
-    two nodes are known.
+    track (T, 3) in the ego frame of each frame, odometry (T, 3) those frames in the newest one. The whole window
+    tells where it heads, its newest nodes how fast: a driver changes speed sooner than direction, and a wrong heading
+    of 0.03 rad puts an oncoming vehicle into the next lane. False if fewer than two nodes are known.
+    """
+    nodes, _, _, vx, vy, _ = fit_line(track, mask, odometry, FRAMES)
+    if nodes < 2:
+        return False
+    heading = math.atan2(vy, vx)
+    _, x, y, vx, vy, lever = fit_line(track, mask, odometry, FIT_FRAMES)
+    speed = vx * math.cos(heading) + vy * math.sin(heading)
+    if speed < SIGNIFICANT / lever:
+        speed = 0.0  # a young track of a waiting vehicle looks as if it crept
+    motion[0], motion[1], motion[2], motion[3] = x, y, heading, speed
+    return True
+
+
+@compiled
+def fit_line(track: Floats, mask: Ints, odometry: Floats,
+             newest: int) -> tuple[int, float, float, float, float, float]:  # fmt: skip
+    """Least squares over a track's newest nodes: how many, x and y now (m), their slopes (m/s), and the lever (s).
+
+    The standard error of a slope is that of a node over the lever.
     """
     weight = sum_t = sum_tt = sum_x = sum_y = sum_tx = sum_ty = 0.0
     for back in range(FRAMES):
         t = FRAMES - 1 - back
-        if mask[t] == 0 or weight >= FIT_FRAMES:
+        if mask[t] == 0 or weight >= newest:
             continue
         cos, sin = math.cos(odometry[t, 2]), math.sin(odometry[t, 2])
         x = odometry[t, 0] + track[t, 0] * cos - track[t, 1] * sin
@@ -200,14 +264,11 @@ def fit_motion(track: Floats, mask: Ints, odometry: Floats, motion: Floats) -> b
         sum_tx += time * x
         sum_ty += time * y
     if weight < 2.0:
-        return False
+        return int(weight), 0.0, 0.0, 0.0, 0.0, 0.0
     spread = weight * sum_tt - sum_t * sum_t
     vx, vy = (weight * sum_tx - sum_t * sum_x) / spread, (weight * sum_ty - sum_t * sum_y) / spread
-    motion[0], motion[1] = (sum_x - vx * sum_t) / weight, (sum_y - vy * sum_t) / weight
-    motion[2], motion[3] = math.atan2(vy, vx), math.hypot(vx, vy)
-    if motion[3] < SIGNIFICANT / math.sqrt(spread / weight):
-        motion[3] = 0.0  # a young track of a waiting vehicle looks as if it crept
-    return True
+    x, y = (sum_x - vx * sum_t) / weight, (sum_y - vy * sum_t) / weight
+    return int(weight), x, y, vx, vy, math.sqrt(spread / weight)
 
 
 @dataclass
@@ -224,8 +285,9 @@ class Planner:
         """GO or BRAKE on an observation."""
         seen = observation
         return decide_on_view(
-            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"], self.config.rule
-        )
+            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"],
+            seen["oncoming"], self.config.rule,
+        )  # fmt: skip
 
 
 @dataclass

@@ -1,5 +1,6 @@
 """A highway-env road network -> routes sampled at even arc lengths, for the compiled world."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,7 @@ class RoutePlan:
     name: str
     lanes: tuple[tuple[str, str, int], ...]
     commands: tuple[Command, ...]
+    oncoming: tuple[float, float] | None = None  # m along it, from where to where a car's body is in an oncoming lane
 
 
 def sample_routes(network: RoadNetwork, plans: Sequence[RoutePlan]) -> Routes:
@@ -31,7 +33,7 @@ def sample_routes(network: RoadNetwork, plans: Sequence[RoutePlan]) -> Routes:
     samples = max(len(points) for points, _, _ in sampled) + 1
     shape = (len(plans), samples)
     point, heading = np.zeros((*shape, 2)), np.zeros(shape)
-    command = np.zeros(shape, np.int8)
+    command, oncoming = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
     length = np.zeros(len(plans))
     for r, (points, headings, commands) in enumerate(sampled):
         n = len(points)
@@ -41,20 +43,34 @@ def sample_routes(network: RoadNetwork, plans: Sequence[RoutePlan]) -> Routes:
         point[r] = np.concatenate([points, points[-1] + beyond * direction])
         heading[r] = np.concatenate([headings, np.full(samples - n, headings[-1])])
         command[r] = np.concatenate([commands, np.full(samples - n, commands[-1])])
+        first, last = plans[r].oncoming or (math.inf, math.inf)
+        arc = np.arange(samples) * SPACING
+        oncoming[r] = (first <= arc) & (arc <= last)
     projection = _projections(point, heading)
-    return Routes(SPACING, length, point, heading, command, projection)
+    return Routes(SPACING, length, point, heading, command, oncoming, projection)
 
 
 def _sample(network: RoadNetwork, plan: RoutePlan) -> tuple[Floats, Floats, Floats]:
     """(n, 2) points, (n,) headings and (n,) commands of one route at even arc lengths."""
     lanes: list[AbstractLane] = [network.get_lane(index) for index in plan.lanes]
-    ends = np.cumsum([lane.length for lane in lanes])
+    tables = [_arc_table(lane) for lane in lanes]
+    ends = np.cumsum([arcs[-1] for arcs, _ in tables])
     arc = np.arange(0.0, ends[-1], SPACING)
     which = np.minimum(np.searchsorted(ends, arc, side="right"), len(lanes) - 1)
-    along = arc - (ends - [lane.length for lane in lanes])[which]
+    rest = arc - np.concatenate([[0.0], ends])[which]
+    along = np.array([np.interp(s, *tables[k]) for k, s in zip(which, rest, strict=True)])
     points = np.array([lanes[k].position(s, 0.0) for k, s in zip(which, along, strict=True)])
     headings = np.unwrap([lanes[k].heading_at(s) for k, s in zip(which, along, strict=True)])
     return points, headings, np.array(plan.commands)[which]
+
+
+def _arc_table(lane: AbstractLane) -> tuple[Floats, Floats]:
+    """(arc length, the lane's own coordinate) at points of a lane: highway-env measures a SineLane along its chord."""
+    own = np.linspace(0.0, lane.length, 201)
+    step = np.diff([lane.position(s, 0.0) for s in own], axis=0)
+    chords = np.concatenate([[0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))])
+    # The chords of an arc that the lane does measure along itself are a little short: trust its length there.
+    return (own if chords[-1] < lane.length * (1 + 1e-9) else chords), own
 
 
 def _projections(point: Floats, heading: Floats) -> Floats:
@@ -74,3 +90,12 @@ def _projections(point: Floats, heading: Floats) -> Floats:
         placed[~near | (turn > ALONG_ANGLE)] = np.nan
         projection[a] = placed.reshape(count, samples, 2)
     return projection
+
+
+def crossing_of(routes: Routes, a: int, b: int) -> tuple[float, float]:
+    """(m along route a, m along route b) to the place where the two cross or come nearest head-on."""
+    turn = routes.heading[a][:, None] - routes.heading[b][None, :]
+    apart = np.linalg.norm(routes.point[a][:, None] - routes.point[b][None, :], axis=-1)
+    apart[np.cos(turn) > np.cos(ALONG_ANGLE)] = np.inf
+    sample, other = np.unravel_index(int(np.argmin(apart)), apart.shape)
+    return float(sample * routes.spacing), float(other * routes.spacing)

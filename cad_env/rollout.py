@@ -91,13 +91,15 @@ def rollouts(
     hazard: bool | None = None,
     watch: Watch | None = None,
 ) -> Iterator[Episode]:
-    """Drive an episode per seed, as many at a time as there are scenes in the vector environment; they come as they end.
+    """Drive an episode per seed, as many at a time as there are scenes in the vector environment, yielded as they end.
 
     Every episode is the same as `rollout` gives, whatever the number of scenes; a policy that does not decide in
     batches drives one at a time. Of a list of single environments only the settings count.
     """
-    single = not isinstance(envs, CADVectorEnv)
-    ensemble = Ensemble([env.simulation.setup for env in envs]) if single else envs.ensemble
+    if isinstance(envs, CADVectorEnv):
+        ensemble = envs.ensemble
+    else:
+        ensemble = Ensemble([env.simulation.setup for env in envs])
     waiting, log = iter(seeds), _Log(len(ensemble))
     free = range(len(ensemble) if isinstance(policy, BatchPolicy) else 1)
     going: list[int] = []

@@ -22,6 +22,7 @@ from cad_env.pipeline.step import Fleet, new_fleet
 from cad_env.planner import Truth
 from cad_env.rows import as_graph
 from cad_env.scenarios import scenario_named
+from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
 from cad_env.types import FRAMES, STEP, Command, Floats, Graph, Ints, Observation
 from cad_env.world.state import World
@@ -37,7 +38,9 @@ class Setup:
     """Everything about an environment that is not drawn from the seed."""
 
     scenario: str = "left_turn"
-    traffic: Mapping[str, Any] = field(default_factory=dict)  # ranges of the scenario, by name
+    ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
+    traffic: str = "light"  # none, light or dense: how much is on the road around the cast
+    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
     sensor: SensorConfig = field(default_factory=SensorConfig)
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
@@ -46,7 +49,8 @@ class Setup:
         check_range("depth", self.depth, 1, FRAMES)
         if int(self.depth) != self.depth:
             raise ValueError(f"depth must be a whole number, got {self.depth!r}")
-        scenario_named(self.scenario).configured(dict(self.traffic))
+        Traffic(self.traffic, self.penetration)
+        scenario_named(self.scenario).configured(dict(self.ranges))
 
 
 def setup_from(options: Mapping[str, Any]) -> Setup:
@@ -57,7 +61,7 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     >>> setup_from({"radoi": "cv2x"})
     Traceback (most recent call last):
     ...
-    ValueError: unknown option radoi='cv2x': choose among depth, radio, scenario, sensor, traffic
+    ValueError: unknown option radoi='cv2x': choose among depth, penetration, radio, ranges, scenario, ...
     """
     check_names("option", dict(options), [f.name for f in fields(Setup)])
     given = dict(options)
@@ -69,19 +73,20 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
         given["radio"] = radio_config(given["radio"])
     if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
         raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
-    if "traffic" in given and not isinstance(given["traffic"], Mapping):
-        raise ValueError(f"traffic must be a dict of the scenario's ranges, got {given['traffic']!r}")
+    if "ranges" in given and not isinstance(given["ranges"], Mapping):
+        raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
     return Setup(**given)
 
 
 class Simulation:
-    """The state of one episode, and what happens in a decision step. It has a place on a board, alone or with others."""
+    """The state of one episode, and what happens in a decision step; it has a place on a board, alone or not."""
 
     def __init__(self, setup: Setup, board: Board | None = None, place: int = 0) -> None:
         self.setup = setup
         self.scenario = scenario_named(setup.scenario)
         self.map = self.scenario.map
-        self.traffic = self.scenario.configured(dict(setup.traffic))
+        self.ranges = self.scenario.configured(dict(setup.ranges))
+        self.traffic = Traffic(setup.traffic, setup.penetration)
         self._sensor = sensing(setup.sensor)
         self._link = link_of(setup.radio)
         self._board = board or Board(1)
@@ -91,7 +96,7 @@ class Simulation:
         """Begin the episode of a seed. `receivers`: how many of the connected, in order, observe and decide."""
         announce_compilation("live.perceive_scenes")
         self.seed = seed
-        self.scene: Scene = self.scenario.scene(self.traffic, seed, hazard)
+        self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
         self.world: World = place(self.scene, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
         vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
@@ -158,7 +163,7 @@ class Simulation:
     @property
     def steps(self) -> int:
         """Decisions since the start."""
-        return self._live.clock.item()
+        return int(self._live.clock[0])
 
     @property
     def time(self) -> float:
@@ -167,7 +172,7 @@ class Simulation:
 
     def episode_info(self) -> dict[str, Any]:
         """What info says of a whole episode."""
-        return {"seed": self.seed, "hazard": self.scene.hazard}
+        return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_timing": self.scene.timing}
 
     def info(self) -> dict[str, Any]:
         """What info says of the newest step, for the ego: plain numbers. `Ensemble.infos` says the same of many."""

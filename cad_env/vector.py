@@ -1,4 +1,4 @@
-"""The vector environment: many scenes in one process, by Gymnasium's conventions, equal to single ones to the last bit."""
+"""The vector environment: many scenes in one process, by Gymnasium's conventions, bit for bit equal to single ones."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -62,7 +62,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         self._chance: list[np.random.Generator | None] = [None] * num_envs
         self._started = False
 
-    def reset(  # type: ignore[override]  # as Gymnasium's own vectors, a list of seeds is taken too
+    def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw scenes: of seed, seed + 1, ..., of a list of seeds, or without one going on from the last."""
@@ -77,7 +77,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
             seeds = [seeds + place for place in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed must be one number or a list of {self.num_envs}, got {seed!r}")
-        for place in np.flatnonzero(which):
+        for place in np.flatnonzero(which).tolist():
             self._start(place, seeds[place], hazard)
         self._started = True
         return self._observations(), self._infos(which)
@@ -91,7 +91,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
             raise RuntimeError(f"the episodes of the scenes {np.flatnonzero(over).tolist()} are over: reset them first")
         going = np.flatnonzero(~over)
         self.ensemble.step(going, chosen[going])
-        for place in np.flatnonzero(over):
+        for place in np.flatnonzero(over).tolist():
             self._start(place)
         rewards, outcomes = self.ensemble.rewards.copy(), self.ensemble.outcomes
         truncations = outcomes == TIMED_OUT
@@ -103,10 +103,10 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
     def _begun_anew(self) -> dict[str, Any]:
         """Start the scenes that are over; what there was to see and to say at their end."""
         ended, seen = self._over.copy(), np.full(self.num_envs, None, object)
-        for place in np.flatnonzero(ended):
+        for place in np.flatnonzero(ended).tolist():
             seen[place] = self.ensemble.observation(place)
         said = self._infos(ended)
-        for place in np.flatnonzero(ended):
+        for place in np.flatnonzero(ended).tolist():
             self._start(place)
         return {**masked({"final_obs": seen}, ended), "final_info": said, "_final_info": ended.copy()}
 

@@ -39,6 +39,7 @@ class View(NamedTuple):
     ego: Floats  # (4,) speed m/s, wanted speed m/s, length m, width m
     command: Ints  # (6,) int8 one-hot
     route: Floats  # (ROUTE_POINTS, 2) m, the way ahead every ROUTE_SPACING
+    oncoming: Ints  # (ROUTE_POINTS,) int8 1 where the way ahead is in a lane of oncoming traffic
 
 
 def empty_view(*lead: int) -> View:
@@ -47,7 +48,7 @@ def empty_view(*lead: int) -> View:
         np.zeros((*lead, OBSERVED_TRACKS, FRAMES, 3), np.float32), np.zeros((*lead, OBSERVED_TRACKS, FRAMES), np.int8),
         np.zeros((*lead, OBSERVED_TRACKS), np.int8), np.zeros((*lead, FRAMES, 3), np.float32),
         np.zeros((*lead, 4), np.float32), np.zeros((*lead, len(Command)), np.int8),
-        np.zeros((*lead, ROUTE_POINTS, 2), np.float32),
+        np.zeros((*lead, ROUTE_POINTS, 2), np.float32), np.zeros((*lead, ROUTE_POINTS), np.int8),
     )  # fmt: skip
 
 
@@ -66,6 +67,7 @@ def observation_space() -> spaces.Dict:
             "ego": spaces.Box(0.0, MAX_SPEED, (4,), np.float32),
             "command": spaces.Box(0, 1, (len(Command),), np.int8),
             "route": metres(ROUTE_POINTS, 2),
+            "oncoming": spaces.Box(0, 1, (ROUTE_POINTS,), np.int8),
         }
     )
 
@@ -141,3 +143,4 @@ def observe_ego(view: View, trail: Floats, routes: Routes, route: int, progress:
         py = routes.point[route, index, 1] * (1.0 - share) + routes.point[route, index + 1, 1] * share
         view.route[k, 0] = _clip((px - x) * cos + (py - y) * sin)
         view.route[k, 1] = _clip((py - y) * cos - (px - x) * sin)
+        view.oncoming[k] = routes.oncoming[route, index]

@@ -182,5 +182,5 @@ def _tracks_at(stack: Tracks, v: int) -> Tracks:
 def _view_at(stack: View, r: int) -> View:
     return View(
         stack.tracks[r], stack.mask[r], stack.kind[r], stack.odometry[r], stack.ego[r], stack.command[r],
-        stack.route[r],
+        stack.route[r], stack.oncoming[r],
     )  # fmt: skip

@@ -1,21 +1,16 @@
-"""What every scenario is made of: placements of vehicles on routes, and who of them is connected."""
+"""The start of an episode: placements of vehicles on routes, and who of them is connected."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from functools import cache
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from highway_env.road.road import RoadNetwork
 
-from cad_env.chance import generator
-from cad_env.config import check_names
-from cad_env.roads import RoutePlan, sample_routes
+from cad_env.scenarios.ranges import Traffic
 from cad_env.types import CAR
 from cad_env.world.state import IDM, Routes, World, empty_world
 
-Range = tuple[float, float]
+EGO, OCCLUDER, HIDDEN = 0, 1, 2  # the first rows of every cast
 
 
 @dataclass(frozen=True)
@@ -33,6 +28,23 @@ class Placement:
     offset: float = 0.0  # m to the left of the route
     yaw: float = 0.0  # rad, counter-clockwise from the route
     stop_at: float = math.inf  # m along the route, where a red light stops it
+    late_braking: float = 0.0  # m/s2 that stopping there must take before it begins to; 0: in good time
+    bystander: bool = False  # True: sees nothing that matters; connected only as penetration has it
+
+    @property
+    def rear(self) -> float:
+        """m along the route, where it ends."""
+        return self.progress - 0.5 * self.length
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Who tells the story: the ego, the occluder, the hidden vehicle (OFF if absent), and others with a view."""
+
+    vehicles: tuple[Placement, ...]
+    witnesses: tuple[int, ...]  # rows that see what the occluder hides; one of them is always connected
+    goal: float  # m along the ego's route, where it has arrived
+    timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet; None: it never is
 
 
 @dataclass(frozen=True)
@@ -42,56 +54,29 @@ class Scene:
     placements: tuple[Placement, ...]
     connected: tuple[int, ...]
     hazard: bool
-    hazard_row: int | None  # the vehicle that the occluder hides, if there is one
+    hazard_row: int  # the vehicle that the occluder hides; its driver is OFF where there is none
     occluder_row: int
     goal: float  # m along the ego's route, where it has arrived
+    timing: float | None = None  # as in Cast
 
 
-@dataclass(frozen=True)
-class Map:
-    """A road network and its routes; built once and shared, never changed."""
+def connected_rows(
+    placements: Sequence[Placement], witnesses: Sequence[int], collaborators: tuple[int, int], traffic: Traffic,
+    rng: np.random.Generator,
+) -> tuple[int, ...]:  # fmt: skip
+    """The ego, a witness and others: as many as `collaborators` says, or with a penetration its lower end and chance.
 
-    network: RoadNetwork
-    routes: Routes
-    plans: tuple[RoutePlan, ...]
-
-    def route(self, name: str) -> int:
-        """The row of the route called `name`."""
-        return next(r for r, plan in enumerate(self.plans) if plan.name == name)
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """One occlusion story: `config` is a frozen dataclass of ranges, `draw` turns chance into a scene."""
-
-    name: str
-    gym_id: str
-    config: type[Any]
-    network: Callable[[], RoadNetwork]
-    plans: tuple[RoutePlan, ...]
-    draw: Callable[[Map, Any, np.random.Generator, bool], Scene] = field(repr=False)
-
-    @property
-    def map(self) -> Map:
-        """The map of this scenario."""
-        return _build_map(self)
-
-    def configured(self, overrides: dict[str, Any]) -> Any:
-        """This scenario's config with some ranges replaced; ValueError names what is wrong and what is allowed."""
-        check_names(f"{self.name} parameter", overrides, [f.name for f in fields(self.config)])
-        return self.config(**overrides)
-
-    def scene(self, config: Any, seed: int, hazard: bool | None = None) -> Scene:
-        """The scene of an episode seed; `hazard` forces its kind, and leaves the rest of the traffic as it is drawn."""
-        rng = generator(seed, "traffic")
-        drawn = bool(rng.random() < config.hazard_share)
-        return self.draw(self.map, config, rng, drawn if hazard is None else hazard)
-
-
-@cache
-def _build_map(scenario: Scenario) -> Map:
-    network = scenario.network()
-    return Map(network, sample_routes(network, scenario.plans), scenario.plans)
+    The hidden vehicle never is: it would give itself away.
+    """
+    witness = int(rng.choice(np.array(witnesses)))
+    order = [witness, *(row for row in rng.permutation(len(placements)).tolist() if row != witness)]
+    useful = [row for row in order if row not in (EGO, HIDDEN) and not placements[row].bystander]
+    wanted = int(rng.integers(*collaborators, endpoint=True))
+    chance = rng.random(len(placements))
+    if traffic.penetration is None:
+        return (EGO, *sorted(useful[:wanted]))
+    by_chance = [row for row in order if row not in (EGO, HIDDEN) and chance[row] < traffic.penetration]
+    return (EGO, *sorted({*useful[: collaborators[0]], *by_chance}))
 
 
 def place(scene: Scene, routes: Routes) -> World:
@@ -114,16 +99,5 @@ def place(scene: Scene, routes: Routes) -> World:
         world.progress[row] = vehicle.progress
         world.target_speed[row] = vehicle.target_speed
         world.stop_at[row] = vehicle.stop_at
+        world.late_braking[row] = vehicle.late_braking
     return world
-
-
-def check_span(name: str, span: Any, low: float, high: float) -> None:
-    """Refuse anything but an ordered pair of numbers within [low, high] with a one-line ValueError."""
-    ordered = (
-        isinstance(span, tuple | list)
-        and len(span) == 2
-        and all(isinstance(end, int | float) and not isinstance(end, bool) for end in span)
-        and low <= span[0] <= span[1] <= high
-    )
-    if not ordered:
-        raise ValueError(f"{name} must be a pair (from, to) within [{low:g}, {high:g}], got {span!r}")

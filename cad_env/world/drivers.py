@@ -20,6 +20,7 @@ HARDEST_BRAKING = 8.0  # m/s2, dry asphalt
 COMMANDED_BRAKING = 6.0  # m/s2, what BRAKE asks for
 SIDE_MARGIN = 0.3  # m to the side that a driver wants free
 LOOK_AHEAD = 100.0  # m
+SLOW = 1.0  # m/s, below which a late braker creeps to its line as anybody does
 
 
 @compiled
@@ -70,10 +71,20 @@ def acceleration_of(world: World, routes: Routes, i: int) -> float:
     acceleration = idm_acceleration(world.speed[i], world.target_speed[i], gap, leader_speed)
     to_line = world.stop_at[i] - world.progress[i] - 0.5 * world.size[i, 0]
     if to_line < LOOK_AHEAD:
-        # The light is a standing vehicle whose rear bumper is MIN_GAP behind the line.
-        at_line = idm_acceleration(world.speed[i], world.target_speed[i], to_line + MIN_GAP, 0.0)
-        acceleration = min(acceleration, at_line)
+        acceleration = min(acceleration, _acceleration_to_line(world, i, to_line))
     return acceleration
+
+
+@compiled
+def _acceleration_to_line(world: World, i: int, to_line: float) -> float:
+    """What a red light asks of vehicle i, whose front is `to_line` m before it, m/s2; inf for nothing yet."""
+    speed, late = world.speed[i], world.late_braking[i]
+    needed = 0.5 * speed * speed / max(to_line, 0.1)
+    if late > 0.0 and speed > SLOW:
+        # Braking by no more than is needed keeps what is needed from falling, so whoever has begun goes on.
+        return -needed if needed >= late else math.inf
+    # The light is a standing vehicle whose rear bumper is MIN_GAP behind the line.
+    return idm_acceleration(speed, world.target_speed[i], to_line + MIN_GAP, 0.0)
 
 
 @compiled

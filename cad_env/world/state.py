@@ -25,6 +25,7 @@ class Routes(NamedTuple):
     point: Floats  # (R, P, 2) m; samples beyond the length repeat the end, straight on
     heading: Floats  # (R, P) rad, unwrapped along the route
     command: Ints  # (R, P) int8 Command
+    oncoming: Ints  # (R, P) int8 1 where a car that follows the route is in a lane of oncoming traffic
     projection: Floats  # (R, R, P, 2) m
 
 
@@ -42,6 +43,7 @@ class World(NamedTuple):
     progress: Floats  # (N,) m along the route
     target_speed: Floats  # (N,) m/s
     stop_at: Floats  # (N,) m along the route, the line where a red light stops the vehicle; inf for none
+    late_braking: Floats  # (N,) m/s2 that stopping at the line must take before the vehicle begins to; 0: in good time
     command: Ints  # (N, COMMAND_DELAY + 1) int8 GO or BRAKE; column 0 is in force, the last is the newest
     struck: Ints  # (N,) int64 row of the first vehicle it touched, -1 for none
 
@@ -60,6 +62,7 @@ def empty_world(count: int) -> World:
         progress=np.zeros(count),
         target_speed=np.zeros(count),
         stop_at=np.full(count, np.inf),
+        late_braking=np.zeros(count),
         command=np.zeros((count, COMMAND_DELAY + 1), np.int8),
         struck=np.full(count, -1, np.int64),
     )

@@ -1,0 +1,84 @@
+"""What a scenario is drawn from: ranges by name, and how much traffic is around its cast."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from cad_env.config import check_range
+
+Range = tuple[float, float]
+
+# Further vehicles around the cast, from and to.
+DENSITIES = {"none": (0, 0), "light": (4, 8), "dense": (12, 16)}
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """How much is on the road around the cast, and how many of all of them are connected."""
+
+    density: str = "light"
+    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.density, str) or self.density not in DENSITIES:
+            raise ValueError(f"traffic must be one of {', '.join(DENSITIES)}, got {self.density!r}")
+        if self.penetration is not None:
+            check_range("penetration", self.penetration, 0.0, 1.0)
+
+
+def span(low: float, high: float, within: Range) -> Any:
+    """A field of a Ranges record: what is drawn uniformly from (low, high) by default, and the limits of a change."""
+    return field(default=(low, high), metadata={"within": within})
+
+
+def count(low: int, high: int, within: tuple[int, int]) -> Any:
+    """The same in whole numbers, both ends included."""
+    return field(default=(low, high), metadata={"within": within, "whole": True})
+
+
+def share(value: float) -> Any:
+    """A field that holds a probability."""
+    return field(default=value, metadata={"share": True})
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What the cast of every scenario is drawn from; each adds its own. Nonsense is refused by name and value."""
+
+    hazard_share: float = share(0.5)  # share of episodes with a hazard
+    collaborators: tuple[int, int] = count(2, 4, within=(0, 20))  # connected vehicles besides the ego
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if "share" in each.metadata:
+                check_range(each.name, value, 0.0, 1.0)
+            if "within" in each.metadata:
+                _check_span(each.name, value, *each.metadata["within"])
+            if "whole" in each.metadata and any(int(end) != end for end in value):
+                raise ValueError(f"{each.name} must be a pair of whole numbers, got {value!r}")
+
+
+def check_road(ranges: Any, way: float, start: float, road: float) -> None:
+    """Refuse ranges that could ask for a hidden vehicle which starts before its road does, by name and value.
+
+    way: m from where the ego starts at the latest to where they meet; start: share of its wanted speed that the ego
+    starts with at least; road: m from the beginning of the hidden vehicle's route to where they meet.
+    """
+    latest = max([ranges.hazard_timing[1], *([ranges.late[0]] if hasattr(ranges, "late") else [])])
+    if (way / (start * ranges.ego_speed[0]) + latest) * ranges.collider_speed[1] > road:
+        raise ValueError(
+            f"ego_speed={ranges.ego_speed!r}, ego_start={ranges.ego_start!r}, collider_speed={ranges.collider_speed!r} "
+            f"ask for a vehicle that starts more than {road:g} m away: let the ego start nearer or faster"
+        )
+
+
+def _check_span(name: str, value: Any, low: float, high: float) -> None:
+    """Refuse anything but an ordered pair of numbers within [low, high] with a one-line ValueError."""
+    ordered = (
+        isinstance(value, tuple | list)
+        and len(value) == 2
+        and all(isinstance(end, int | float) and not isinstance(end, bool) for end in value)
+        and low <= value[0] <= value[1] <= high
+    )
+    if not ordered:
+        raise ValueError(f"{name} must be a pair (from, to) within [{low:g}, {high:g}], got {value!r}")

@@ -1,0 +1,105 @@
+"""A scenario is a map, its routes, a cast and the traffic around it, each drawn from a stream of chance of its own."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any
+
+import numpy as np
+from highway_env.road.road import RoadNetwork
+
+from cad_env.chance import generator
+from cad_env.config import check_names
+from cad_env.roads import RoutePlan, crossing_of, sample_routes
+from cad_env.scenarios.ranges import DENSITIES, Traffic
+from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Cast, Placement, Scene, connected_rows
+from cad_env.world.state import Routes
+
+
+@dataclass(frozen=True, eq=False)  # compared and hashed as the one object it is
+class Map:
+    """A road network and its routes; built once and shared, never changed."""
+
+    network: RoadNetwork
+    routes: Routes
+    plans: tuple[RoutePlan, ...]
+
+    def route(self, name: str) -> int:
+        """The row of the route called `name`."""
+        return next(r for r, plan in enumerate(self.plans) if plan.name == name)
+
+    def crossing(self, a: int, b: int) -> tuple[float, float]:
+        """(m along route a, m along route b) to where the two cross."""
+        return _crossing(self, a, b)
+
+
+@cache
+def _crossing(built: Map, a: int, b: int) -> tuple[float, float]:
+    return crossing_of(built.routes, a, b)
+
+
+Groups = list[list[Placement]]  # who may be there; of each group the first ones come first
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One occlusion story. `cast` and `background` turn chance into vehicles; nothing else about it is random."""
+
+    name: str
+    gym_id: str
+    ranges: type[Any]  # a Ranges record
+    network: Callable[[], RoadNetwork]
+    plans: tuple[RoutePlan, ...]
+    cast: Callable[[Map, Any, np.random.Generator, bool], Cast] = field(repr=False)
+    background: Callable[[Map, Cast, np.random.Generator], Groups] = field(repr=False)
+
+    @property
+    def map(self) -> Map:
+        """The map of this scenario."""
+        return _build_map(self)
+
+    def configured(self, overrides: dict[str, Any]) -> Any:
+        """This scenario's ranges with some replaced; ValueError names what is wrong and what is allowed."""
+        check_names(f"{self.name} range", overrides, [each.name for each in fields(self.ranges)])
+        return self.ranges(**overrides)
+
+    def scene(self, ranges: Any, traffic: Traffic, seed: int, hazard: bool | None = None) -> Scene:
+        """The scene of an episode seed; `hazard` forces its kind, and leaves all others as they are drawn.
+
+        Another density or penetration leaves the cast alone: they have streams of chance of their own.
+        """
+        rng = generator(seed, "traffic")
+        drawn = bool(rng.random() < ranges.hazard_share)
+        told = drawn if hazard is None else hazard
+        cast = self.cast(self.map, ranges, rng, told)
+        further = generator(seed, "background")
+        count = int(further.integers(*DENSITIES[traffic.density], endpoint=True))
+        placements = (*cast.vehicles, *_taken(self.background(self.map, cast, further), count, further))
+        connected = connected_rows(
+            placements, cast.witnesses, ranges.collaborators, traffic, generator(seed, "connection")
+        )
+        return Scene(placements, connected, told, HIDDEN, OCCLUDER, cast.goal, cast.timing)
+
+    def most_connected(self, ranges: Any, traffic: Traffic) -> int:
+        """No scene has more connected vehicles than this, the ego included."""
+        if traffic.penetration is None:
+            return 1 + int(ranges.collaborators[1])
+        cast = self.cast(self.map, ranges, generator(0, "traffic"), True)
+        return len(cast.vehicles) - 1 + DENSITIES[traffic.density][1]
+
+
+@cache
+def _build_map(scenario: Scenario) -> Map:
+    network = scenario.network()
+    return Map(network, sample_routes(network, scenario.plans), scenario.plans)
+
+
+def _taken(groups: Groups, count: int, rng: np.random.Generator) -> list[Placement]:
+    """`count` vehicles, each the next one of a group drawn among those that have any left."""
+    left = [list(group) for group in groups if group]
+    chosen: list[Placement] = []
+    while len(chosen) < count:
+        group = left[int(rng.integers(len(left)))]
+        chosen.append(group.pop(0))
+        left = [group for group in left if group]
+    return chosen

@@ -10,7 +10,7 @@ import numpy as np
 from numba import typeof
 from numba.typed import List
 
-from cad_env.compiled import compiled, compiled_part
+from cad_env.compiled import compiled, inlined
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link
 from cad_env.pipeline.sense import Sensing
@@ -130,7 +130,7 @@ def perceive_scenes(scenes: Any, which: Ints) -> None:
         tell(scene)
 
 
-@compiled_part
+@inlined
 def reward(task: Task, agent: int, world: World, row: int, steps: int) -> None:
     """How the episode stands for an agent, and its reward: the share of its way that it covered, and the final one."""
     progress, outcome = world.progress[row], UNDER_WAY
@@ -145,7 +145,7 @@ def reward(task: Task, agent: int, world: World, row: int, steps: int) -> None:
     task.progress[agent], task.outcome[agent] = progress, outcome
 
 
-@compiled_part
+@inlined
 def tell(scene: LiveScene) -> None:
     """Write down what the newest step came to."""
     world, told, air = scene.world, scene.told, scene.fleet.report

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cad_env.live import Board, advance_scenes, perceive_scenes
+from cad_env.live import Board, play
 from cad_env.planner import Truths
 from cad_env.simulation import COLLISION, OUTCOMES, REFUSALS, SUCCESS, Setup, Simulation
 from cad_env.types import Bools, Ints, Observation
@@ -40,8 +40,7 @@ class Ensemble:
 
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
-        advance_scenes(self._board.scenes, which, actions)
-        perceive_scenes(self._board.scenes, which)
+        play(self._board.scenes, which, actions, True)
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""

@@ -1,6 +1,6 @@
 """A scene under way as one record, and the compiled loops that move one such scene or a thousand.
 
-Every environment steps its scenes by `advance_scenes` and `perceive_scenes`. They get a typed list of records: each
+Every environment steps its scenes by `play`. It gets a typed list of records: each
 scene has its own numbers of vehicles, and a call from Python costs 2 us however many arrays the records hold.
 """
 
@@ -11,6 +11,7 @@ from numba import typeof
 from numba.typed import List
 
 from cad_env.compiled import compiled, inlined
+from cad_env.borrowing import borrowed
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link
 from cad_env.pipeline.sense import Sensing
@@ -78,6 +79,7 @@ class Board:
             *(np.zeros(places, np.int64) for _ in range(6)),
         )  # fmt: skip
         self.views: View = empty_view(places, 1)  # what each ego decides on
+        self._owners: dict[int, LiveScene] = {}  # of the arrays that the list below borrows
         self.scenes: Any = None  # the typed list, once there is a record to tell its type
 
     def told_at(self, place: int) -> Told:
@@ -93,6 +95,7 @@ class Board:
         if self.scenes is None:
             self.scenes = _no_scenes(typeof(scene))
         _put(self.scenes, place, scene)
+        self._owners[place] = scene
 
 
 @compiled
@@ -103,25 +106,22 @@ def _no_scenes(kind: Any) -> Any:
 @compiled
 def _put(scenes: Any, place: int, scene: LiveScene) -> None:
     while len(scenes) <= place:
-        scenes.append(scene)
-    scenes[place] = scene
+        scenes.append(borrowed(scene))
+    scenes[place] = borrowed(scene)
 
 
 @compiled
-def advance_scenes(scenes: Any, which: Ints, actions: Ints) -> None:
-    """Let 0.1 s pass in the scenes `which` (n,), whose egos decide `actions` (n,)."""
+def play(scenes: Any, which: Ints, actions: Ints, moves: bool) -> None:
+    """One decision in the scenes `which` (n,), whose egos decide `actions` (n,): 0.1 s passes, and everybody perceives.
+
+    Without `moves` no time passes: everybody perceives what there is.
+    """
     for k in range(which.shape[0]):
         scene = scenes[which[k]]
-        scene.actions[0] = actions[k]
-        advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
-        scene.clock[0] += 1
-
-
-@compiled
-def perceive_scenes(scenes: Any, which: Ints) -> None:
-    """Let everybody in the scenes `which` (n,) perceive, share and observe, and tell how they stand."""
-    for k in range(which.shape[0]):
-        scene = scenes[which[k]]
+        if moves:
+            scene.actions[0] = actions[k]
+            advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
+            scene.clock[0] += 1
         run(
             scene.world, scene.routes, scene.fleet, scene.sensor, scene.link, scene.depth, scene.keys, scene.clock[0]
         )  # fmt: skip

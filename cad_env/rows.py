@@ -3,7 +3,7 @@
 import numpy as np
 
 from cad_env.compiled import compiled, inlined
-from cad_env.types import FRAMES, ROWS, Graph, Rows
+from cad_env.types import FRAMES, ROWS, Floats, Graph, Rows
 
 
 def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
@@ -14,10 +14,16 @@ def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
     )  # fmt: skip
 
 
+@inlined
+def flat_positions(rows: Rows) -> Floats:
+    """The positions as (R, T * 3): one plain loop over them moves many numbers at a time."""
+    return rows.position.reshape(rows.position.shape[0], FRAMES * 3)
+
+
 @compiled
 def slide(rows: Rows) -> None:
     """One frame later: every node moves one column towards the past, and rows without nodes go."""
-    flat = rows.position.reshape(rows.position.shape[0], 3 * FRAMES)  # one plain loop is copied many numbers at a time
+    flat = flat_positions(rows)
     kept = 0
     for i in range(rows.used[0]):
         alive = False

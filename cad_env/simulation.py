@@ -14,7 +14,7 @@ import numpy as np
 from cad_env.chance import stream_key
 from cad_env.compiled import announce_compilation
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
-from cad_env.live import Board, LiveScene, Task, advance_scenes, perceive_scenes
+from cad_env.live import Board, LiveScene, Task, play
 from cad_env.pipeline.observe import as_observation, empty_view
 from cad_env.pipeline.radio import REASONS, link_of
 from cad_env.pipeline.sense import sensing
@@ -94,7 +94,7 @@ class Simulation:
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
         """Begin the episode of a seed. `receivers`: how many of the connected, in order, observe and decide."""
-        announce_compilation("live.perceive_scenes")
+        announce_compilation("live.play")
         self.seed = seed
         self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
         self.world: World = place(self.scene, self.map.routes)
@@ -119,8 +119,7 @@ class Simulation:
     def step(self, actions: Ints) -> None:
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
         self._live.actions[:] = actions
-        advance_scenes(self._board.scenes, self._which, self._live.actions[:1])
-        self._perceive()
+        play(self._board.scenes, self._which, self._live.actions, True)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_board"}
@@ -133,7 +132,7 @@ class Simulation:
             self._board.put(0, self._live)
 
     def _perceive(self) -> None:
-        perceive_scenes(self._board.scenes, self._which)
+        play(self._board.scenes, self._which, self._live.actions, False)
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from cad_env.assignment import assign
 from cad_env.compiled import compiled, inlined
-from cad_env.rows import row_of
+from cad_env.rows import flat_positions, row_of
 from cad_env.types import FRAMES, Floats, Rows
 from cad_env.world.geometry import within
 
@@ -22,7 +22,7 @@ EGO_RADIUS = 2.0  # m around itself in which the ego takes no node for another v
 @inlined
 def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
     """Take the newest `depth` frames of a message, `age` frames old, into the window kept of its sender."""
-    into, said = kept.position.reshape(-1, 3 * FRAMES), message.position.reshape(-1, 3 * FRAMES)
+    into, said = flat_positions(kept), flat_positions(message)
     newest = FRAMES - 1 - age
     oldest = max(newest - depth + 1, 0)
     for i in range(kept.used[0]):  # the message is the sender's whole word on the frames it covers
@@ -96,10 +96,14 @@ def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Float
     for t in range(FRAMES):
         if not rows.mask[i, t] or _is_ego(rows, i, t, trail):
             continue
-        share = 1.0 / (weight[g, t] + 1.0)
-        for axis in range(3):
-            before = merged.position[g, t, axis] if weight[g, t] > 0.0 else 0.0
-            merged.position[g, t, axis] = before + share * (rows.position[i, t, axis] - before)
+        if weight[g, t] == 0.0:
+            for axis in range(3):
+                merged.position[g, t, axis] = 0.0 + rows.position[i, t, axis]  # -0.0 becomes 0.0, as in any other mean
+        else:
+            share = 1.0 / (weight[g, t] + 1.0)
+            for axis in range(3):
+                before = merged.position[g, t, axis]
+                merged.position[g, t, axis] = before + share * (rows.position[i, t, axis] - before)
         weight[g, t] += 1.0
         merged.mask[g, t] = True
 

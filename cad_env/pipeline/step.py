@@ -18,6 +18,7 @@ from cad_env.types import FRAMES, MERGED_ROWS, ROWS, Bools, Bytes, Floats, Ints,
 from cad_env.world.state import Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
+UNREAD = -1  # in place of a message's length
 # First rows of a graph to merge: row 0 of the own one is the own body. Of a numpy type, because numba compiles a
 # function anew for every plain number that is written in a call of it.
 ALL, OTHERS = np.int64(0), np.int64(1)
@@ -123,7 +124,7 @@ def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: 
 
 @inlined
 def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
-    """Parse what arrives, once per message, and give it to every receiver that it reaches."""
+    """Give what arrives to every receiver that it reaches; a message is parsed once, if it reaches any."""
     report = fleet.report
     receivers = fleet.merged.used.shape[0]
     for r in range(receivers):
@@ -131,16 +132,19 @@ def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
         for v in range(fleet.rows.shape[0]):
             slide(_kept_at(fleet.kept, r, v))
     for v in range(fleet.rows.shape[0]):
-        length = fetch(fleet.air, link, step, v, fleet.buffer)
-        if length < 0 or read(fleet.buffer, length, fleet.header, fleet.message) != READ:
-            continue
-        age = step - fleet.header[1] // 100  # the time in the message places its frames, not that of its arrival
+        length = UNREAD
         for r in range(receivers):
             end = fate(fleet.air, link, key, step, v, r)
             report.lost[r] += end == LOST
-            if end == REACHES:
-                report.received_bytes[r] += length
-                receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
+            if end != REACHES:
+                continue
+            if length == UNREAD:
+                length = fetch(fleet.air, link, step, v, fleet.buffer)
+                if read(fleet.buffer, length, fleet.header, fleet.message) != READ:
+                    break
+            report.received_bytes[r] += length
+            age = step - fleet.header[1] // 100  # the time in the message places its frames, not that of its arrival
+            receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
 
 
 @inlined

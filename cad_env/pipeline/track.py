@@ -13,6 +13,7 @@ import numpy as np
 from cad_env.assignment import assign
 from cad_env.compiled import compiled, inlined
 from cad_env.types import ROWS, STEP, Bools, Floats, Ints
+from cad_env.world.geometry import within
 
 GATE = 3.0  # m; 18 m/s is 1.8 m a frame, so a newborn track of unknown velocity still finds its next detection
 BIRTH_HITS = 3  # detections before a track counts
@@ -70,7 +71,8 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
     for i in range(rows):
         _predict(tracks, i)
         for j in range(found):
-            cost[i, j] = math.hypot(position[j, 0] - tracks.mean[i, 0], position[j, 1] - tracks.mean[i, 1])
+            dx, dy = position[j, 0] - tracks.mean[i, 0], position[j, 1] - tracks.mean[i, 1]
+            cost[i, j] = math.hypot(dx, dy) if within(dx, dy, GATE) else math.inf
     assign(cost, rows, found, GATE, match)
     variance = max(noise, LEAST_NOISE) ** 2
     taken = np.zeros(ROWS, np.bool_)

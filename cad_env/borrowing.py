@@ -1,17 +1,16 @@
-"""Records of arrays that compiled code borrows: it does not count references to them, which takes it a quarter less time.
+"""Records of arrays that compiled code borrows: it counts no references to them.
 
-Numba counts a reference, atomically, to each array of a record whenever it takes one out of another, some thousand times
-in a step. An array without an owner is passed over; somebody in Python must keep it alive.
+Numba counts a reference, atomically, whenever it takes an array out of a record, and a step does so some thousand
+times: a fifth of its time. An array without an owner is passed over; somebody in Python must keep it alive.
 """
 
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import Any
 
 from numba import types
 from numba.core import cgutils
 from numba.core import config as numba_config
 from numba.extending import intrinsic
-
-Record = TypeVar("Record")
 
 
 def _disowned(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -22,7 +21,7 @@ def _disowned(context: Any, builder: Any, kind: Any, value: Any) -> Any:
         array.parent = cgutils.get_null_value(array.parent.type)
         return array._getvalue()
     if isinstance(kind, types.BaseTuple):
-        for index, part in enumerate(kind.types):
+        for index, part in enumerate(kind.types):  # type: ignore[attr-defined]
             inner = _disowned(context, builder, part, builder.extract_value(value, index))
             value = builder.insert_value(value, inner, index)
     return value
@@ -35,9 +34,9 @@ def _borrow(typing: Any, record: Any) -> Any:
     return record(record), generate
 
 
-def _as_it_is(record: Record) -> Record:
+def _as_it_is(record: Any) -> Any:
     return record
 
 
 # For compiled code: the same record, whose arrays somebody else keeps alive.
-borrowed = _as_it_is if numba_config.DISABLE_JIT else intrinsic(_borrow)
+borrowed: Callable[[Any], Any] = _as_it_is if numba_config.DISABLE_JIT else intrinsic(_borrow)  # type: ignore[assignment]

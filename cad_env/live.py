@@ -10,8 +10,8 @@ import numpy as np
 from numba import typeof
 from numba.typed import List
 
-from cad_env.compiled import compiled, inlined
 from cad_env.borrowing import borrowed
+from cad_env.compiled import compiled, inlined
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link
 from cad_env.pipeline.sense import Sensing

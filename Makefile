@@ -35,10 +35,10 @@ evaluate:
 bench:
 	$(RUN)/python benchmarks/speed.py
 
-# The models that ship with the package: those of the main job, without its data and checkpoints.
+# The models that ship with the package: those of the main job, which know all scenarios, without data and checkpoints.
 weights:
 	$(RUN)/python train.py --score 0
 	for name in shared own; do \
-	  mkdir -p policies/weights/left_turn/$$name && \
-	  cp runs/left_turn/$$name/model.safetensors runs/left_turn/$$name/config.json policies/weights/left_turn/$$name/; \
+	  mkdir -p policies/weights/all/$$name && \
+	  cp runs/all/$$name/model.safetensors runs/all/$$name/config.json policies/weights/all/$$name/; \
 	done

@@ -1,6 +1,7 @@
 """Score contenders in closed loop, on the same seeds, and print the table with its intervals.
 
-python evaluate.py --contender always-go expert stgraph --episodes 500 --jobs 2 --out results/left_turn
+python evaluate.py --scenario left_turn --contender always-go expert stgraph --episodes 500 --jobs 2
+python evaluate.py --merge results/shard_1_of_2 results/shard_2_of_2
 """
 
 import contextlib
@@ -10,11 +11,16 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from itertools import groupby
-from typing import TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 import tyro
 
 from baselines.settings import Settings
+
+if TYPE_CHECKING:
+    from baselines.store import Store
+    from cad_env.score import Scorecard
 
 INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
 Parsed = TypeVar("Parsed")
@@ -41,20 +47,33 @@ def _first_part(box: str, kind: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
+    words = sys.argv[1:] if argv is None else argv
     try:
-        settings = parsed(Settings, argv)
-    except ValueError as error:
+        if any(word.split("=")[0] == "--merge" for word in words):
+            return put_together(words)
+        settings = parsed(Settings, words)
+    except (ValueError, OSError) as error:
         return refused(error)
     except KeyboardInterrupt as error:
         return stopped(error)
     return scored(settings)
 
 
+def put_together(words: Sequence[str]) -> int:
+    """Merge shards and print the table; ValueError or OSError, one line, for what cannot be merged."""
+    from baselines.merging import Merging, merged  # here, so that --help is quick
+
+    merging = parsed(Merging, words)
+    show(merged(merging), merging.out)
+    if merging.report:
+        report(merging.out)
+    return 0
+
+
 def scored(settings: Settings) -> int:
     """Score, print the table, and return the exit code; whatever stops it becomes one line on standard error."""
     try:
         from baselines.scoring import completed, opened  # here, so that --help is quick
-        from cad_env.score import table
 
         store = opened(settings)
     except (ValueError, OSError) as error:
@@ -63,14 +82,43 @@ def scored(settings: Settings) -> int:
         return stopped(error)
     try:
         rows = completed(settings, store)
-    except OSError as error:
+        if settings.shard is None:
+            show(rows, settings.folder())
+            explain(store, settings)
+        else:
+            print(f"Shard {settings.shard} is in {settings.folder()}. Put all together with python evaluate.py --merge")
+    except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
-        total = len(settings.contender) * settings.episodes
+        total = sum(len(task.seeds) for task in settings.tasks())
         return stopped(error, f" after {len(store.records)} of {total} episodes")
-    print(table(rows))
-    print(f"The episodes and the scores are in {settings.folder()}.")
     return 0
+
+
+def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
+    """Print the table."""
+    from cad_env.score import table
+
+    print(table(rows))
+    print(f"The episodes and the scores are in {folder}.")
+
+
+def explain(store: "Store", settings: Settings) -> None:
+    """Write what helps to understand the scores: animations of episodes, and the report."""
+    if settings.gif:
+        from baselines.gifs import write_gifs  # here, because only this draws
+        from baselines.store import GIFS
+
+        write_gifs(settings, store.records.values(), settings.folder() / GIFS, settings.gif)
+    if settings.report:
+        report(settings.folder())
+
+
+def report(folder: Path) -> None:
+    """Write the report."""
+    from baselines.report import write_report  # here, because only this needs matplotlib
+
+    print(f"The tables and plots to read: {write_report(folder)}")
 
 
 def stopped(error: BaseException, where: str = "") -> int:

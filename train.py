@@ -1,6 +1,7 @@
 """Record the expert, clone it with and without sharing, score both in closed loop, print the table.
 
 python train.py                                      the main job, some minutes on two cores
+python train.py --scenario left_turn                 networks that know this scenario only
 python train.py --episodes 200 --steps 600 --score 50 --out runs/quick     a quick look
 
 Interrupt it as you like: the same command goes on where it stopped.
@@ -20,6 +21,7 @@ from cad_env.config import check_range, radio_config
 from cad_env.files import replace_file
 from evaluate import parsed, refused, scored, stopped
 
+ALL = ("all",)
 SCORED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
 
 
@@ -27,15 +29,15 @@ SCORED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert"
 class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
-    scenario: str = "left_turn"
-    out: Path | None = None  # folder of models, data and scores; default: runs/<scenario>
+    scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
+    out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing network is trained and scored on
-    episodes: int = 1000  # driven by the expert
-    corrections: int = 0  # rounds in which the network drives and the expert labels (DAgger)
-    steps: int = 1800  # optimiser steps of the first round; later rounds take half as many
-    validation: int = 100  # closed-loop episodes after each third of a round, by which the checkpoint is chosen
+    episodes: int = 600  # of each scenario, driven by the expert
+    corrections: int = 2  # rounds in which the network drives and the expert labels (DAgger)
+    steps: int = 2400  # optimiser steps of the first round; later rounds take half as many
+    validation: int = 60  # closed-loop episodes of each scenario after each third of a round, to choose a checkpoint
     seed: int = 0  # of the networks and of everything drawn while training
-    score: int = 300  # episodes per contender at the end; 0 trains only
+    score: int = 300  # episodes per contender and scenario at the end; 0 trains only
     jobs: int = 2  # processes
     velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
 
@@ -47,7 +49,14 @@ class TrainSettings:
 
     def folder(self) -> Path:
         """Where everything goes."""
-        return self.out or Path("runs") / self.scenario
+        return self.out or Path("runs") / "+".join(self.scenario)
+
+    def scenarios(self) -> tuple[str, ...]:
+        """What the networks learn, in the same order however it was asked for; ValueError for what does not exist."""
+        from cad_env.scenarios import SCENARIOS, scenario_named
+
+        chosen = [scenario_named(name).name for name in (SCENARIOS if self.scenario == ALL else self.scenario)]
+        return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
     def scoring(self) -> Settings:
         """The closed-loop comparison at the end; other episodes or another version of the scenes score anew."""
@@ -55,7 +64,7 @@ class TrainSettings:
 
         scores = self.folder() / f"scores_{self.score}_{version()}"
         return Settings(
-            scenario=self.scenario, contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
+            scenario=self.scenarios(), contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
             jobs=self.jobs, out=scores, radio=self.radio,
         )  # fmt: skip
 
@@ -64,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
         settings = parsed(TrainSettings, argv)
-        check_scenario(settings)
+        courses(settings)
         claim(settings)
         train_all(settings)
     except (ValueError, OSError) as error:
@@ -75,24 +84,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     return scored(settings.scoring()) if settings.score else 0
 
 
-def check_scenario(settings: TrainSettings) -> None:
-    """ValueError, before anything is made, for a scenario that does not exist or a course that is impossible."""
-    from cad_env.scenarios import scenario_named
-
-    scenario_named(settings.scenario)
-    courses(settings)
-
-
 def courses(settings: TrainSettings) -> dict[str, Any]:
-    """The two networks to train, by the name of their folder: the same course, with sharing and without."""
+    """The two networks to train, by the name of their folder: the same course, with sharing and without.
+
+    ValueError for a scenario that does not exist or a course that is impossible.
+    """
     from policies.stgraph import StGraphConfig
     from policies.training import Course
 
     def course(radio: str) -> Course:
         return Course(
-            scenario=settings.scenario, radio=radio, seed=settings.seed, episodes=settings.episodes,
+            scenarios=settings.scenarios(), radio=radio, seed=settings.seed, episodes=settings.episodes,
             corrections=settings.corrections, steps=settings.steps, validation=settings.validation,
-            final_validation=settings.validation * 3 // 2, network=StGraphConfig(velocity=settings.velocity),
+            final_validation=settings.validation * 5 // 3, network=StGraphConfig(velocity=settings.velocity),
         )  # fmt: skip
 
     return {"shared": course(settings.radio), "own": course("none")}

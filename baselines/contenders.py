@@ -6,10 +6,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cad_env.planner import Expert, Planner
 from cad_env.types import BRAKE, GO, Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
+NOTHING, SEEN, SENT, TRUTH = KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")
 
 
 @dataclass
@@ -32,12 +32,29 @@ class Contender:
     """One row of the results table."""
 
     name: str
-    shares: bool  # False: nothing is sent, whatever the radio could carry
+    knows: str  # one of KNOWLEDGE
     make_policy: Callable[[Path], Policy]  # from the folder of trained models
     model: str | None = None  # the folder in there that it needs
 
+    @property
+    def shares(self) -> bool:
+        """False: nothing is sent, whatever the radio could carry."""
+        return self.knows == SENT
 
-def _learned(name: str, shares: bool, model: str) -> Contender:
+
+def _planner(_: Path) -> Policy:
+    from cad_env.planner import Planner  # here, because numba takes half a second that --help need not wait
+
+    return Planner()
+
+
+def _expert(_: Path) -> Policy:
+    from cad_env.planner import Expert
+
+    return Expert()
+
+
+def _learned(name: str, knows: str, model: str) -> Contender:
     def load(models: Path) -> Policy:
         folder = models / model
         if not folder.is_dir():
@@ -46,20 +63,20 @@ def _learned(name: str, shares: bool, model: str) -> Contender:
 
         return LearnedPolicy.load(folder)
 
-    return Contender(name, shares, load, model)
+    return Contender(name, knows, load, model)
 
 
 CONTENDERS: Mapping[str, Contender] = MappingProxyType(
     {
         contender.name: contender
         for contender in (
-            Contender("always-go", False, lambda _: Always(GO)),
-            Contender("always-brake", False, lambda _: Always(BRAKE)),
-            Contender("planner-own", False, lambda _: Planner()),
-            Contender("planner-shared", True, lambda _: Planner()),
-            Contender("expert", False, lambda _: Expert()),
-            _learned("stgraph", True, "shared"),
-            _learned("stgraph-own", False, "own"),
+            Contender("always-go", NOTHING, lambda _: Always(GO)),
+            Contender("always-brake", NOTHING, lambda _: Always(BRAKE)),
+            Contender("planner-own", SEEN, _planner),
+            Contender("planner-shared", SENT, _planner),
+            Contender("expert", TRUTH, _expert),
+            _learned("stgraph", SENT, "shared"),
+            _learned("stgraph-own", SEEN, "own"),
         )
     }
 )
@@ -73,7 +90,8 @@ def contender_named(name: str) -> Contender:
 
 
 def shipped_models(scenario: str) -> Path:
-    """Where the package keeps the models trained for a scenario: `shared` and `own` in one folder."""
+    """Where the package keeps `shared` and `own`: of all scenarios, or else of the one that is named."""
     import policies
 
-    return Path(policies.__path__[0]) / "weights" / scenario
+    weights = Path(policies.__path__[0]) / "weights"
+    return weights / "all" if (weights / "all").is_dir() else weights / scenario

@@ -2,95 +2,101 @@
 
 import hashlib
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from concurrent.futures import as_completed
 from contextlib import closing
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from baselines.cluster import on_ray
 from baselines.contenders import MODEL_FILES, contender_named
+from baselines.grid import Task
 from baselines.settings import HAZARDS, Settings
 from baselines.store import Store
 from baselines.workers import prefer_one_thread, workers
 from cad_env.compiled import version
-from cad_env.env import CADEnv
 from cad_env.rollout import BatchPolicy, Episode, rollouts
 from cad_env.score import Record, Scorecard, scorecards
+from cad_env.vector import CADVectorEnv
 
-CHUNK = 25  # episodes that an interruption can cost a process
 ABREAST = 16  # episodes side by side, for a policy that decides in batches
-
-Task = tuple[str, Sequence[int]]  # contender, seeds
 
 
 def score(settings: Settings) -> list[Scorecard]:
-    """Score every contender on every seed, going on where an earlier run with the same settings stopped."""
+    """Score every contender on every scenario and seed, going on where an earlier run with these settings stopped."""
     return completed(settings, opened(settings))
 
 
 def opened(settings: Settings) -> Store:
     """The results so far. ValueError or OSError, one line, for models or a folder that cannot be used."""
     prefer_one_thread()
-    for name in settings.contender:
-        contender_named(name).make_policy(settings.models())
+    for scenario in settings.scenarios():
+        for name in settings.contender:
+            contender_named(name).make_policy(settings.models(scenario))
     return Store(settings.folder(), identity(settings))
 
 
 def completed(settings: Settings, store: Store) -> list[Scorecard]:
-    """Drive the episodes that are missing, then write and return the scores."""
-    total = len(settings.contender) * settings.episodes
+    """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only."""
+    keys = [key for task in settings.tasks() for key in task.episodes()]
     with (
-        tqdm(total=total, initial=len(store.records), unit="episode", smoothing=0.1, disable=None) as bar,
-        closing(_driven(settings, _tasks(settings, store))) as finished,
+        tqdm(total=len(keys), initial=len(store.records), unit="episode", smoothing=0.1, disable=None) as bar,
+        closing(_driven(settings, _missing(settings, store))) as finished,
     ):
         for records in finished:
             store.append(records)
             bar.update(len(records))
-    ordered = [store.records[name, seed] for name in settings.contender for seed in settings.seeds()]
-    rows = scorecards(ordered)
-    store.finish(ordered, rows)
+    rows = scorecards(store.put_in_order(keys))
+    if settings.shard is None:
+        store.write_scores(rows)
     return rows
 
 
 def identity(settings: Settings) -> dict[str, Any]:
-    """All that the episodes depend on: settings, models and the code of the scenes."""
-    names = ("scenario", "contender", "episodes", "first_seed", "sensor_noise", "gnss_noise", "hazard", "depth")
+    """All that the episodes depend on: settings, models and the code of the scenes; and the command, as a note."""
+    names = (
+        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "depth",
+    )  # fmt: skip
     models = {name: contender_named(name).model for name in settings.contender}
     return {
-        **{name: getattr(settings, name) for name in names},
+        "scenario": list(settings.scenarios()),
         "contender": list(settings.contender),
+        **{name: getattr(settings, name) for name in names},
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
-        **{f"model of {name}": _digest(settings.models() / model) for name, model in models.items() if model},
+        **{f"model of {name}": _digest(settings, model) for name, model in models.items() if model},
         "version of cad_env": version(),
+        "command": settings.command(),
+        **({} if settings.shard is None else {"shard": settings.shard}),
     }
 
 
-def _digest(folder: Path) -> str:
-    data = b"".join((folder / name).read_bytes() for name in MODEL_FILES)
+def _digest(settings: Settings, model: str) -> str:
+    folders: dict[Path, None] = dict.fromkeys(settings.models(scenario) / model for scenario in settings.scenarios())
+    data = b"".join((folder / name).read_bytes() for folder in folders for name in MODEL_FILES)
     return hashlib.sha256(data).hexdigest()[:16]
 
 
-def _tasks(settings: Settings, store: Store) -> list[Task]:
-    tasks: list[Task] = []
-    for name in settings.contender:
-        missing = [seed for seed in settings.seeds() if (name, seed) not in store.records]
-        tasks += [(name, missing[start : start + CHUNK]) for start in range(0, len(missing), CHUNK)]
-    return tasks
+def _missing(settings: Settings, store: Store) -> list[Task]:
+    rest = [
+        task._replace(seeds=[seed for *_, seed in task.episodes() if (*task[:2], seed) not in store.records])
+        for task in settings.tasks()
+    ]
+    return [task for task in rest if task.seeds]
 
 
 def drive(settings: Settings, task: Task) -> list[Record]:
-    """The records of one contender on some seeds, in their order."""
-    name, seeds = task
-    contender = contender_named(name)
-    policy = contender.make_policy(settings.models())
-    abreast = min(ABREAST, len(seeds)) if isinstance(policy, BatchPolicy) else 1
-    envs = [CADEnv(**settings.environment(contender.shares)) for _ in range(abreast)]
-    episodes = rollouts(envs, policy, seeds, name, HAZARDS[settings.hazard])
+    """The records of one contender on some seeds of one scenario, in their order."""
+    contender = contender_named(task.contender)
+    policy = contender.make_policy(settings.models(task.scenario))
+    abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
+    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender.shares))
+    episodes = rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard])
     records = {episode.seed: _record(episode) for episode in episodes}
-    return [records[seed] for seed in seeds]
+    return [records[seed] for seed in task.seeds]
 
 
 def _record(episode: Episode) -> Record:
@@ -101,13 +107,17 @@ def _record(episode: Episode) -> Record:
         int(episode.largest_message.max()) if messages else None, messages,
         int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
         round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
+        None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
     )  # fmt: skip
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:
-    if settings.jobs == 1 or len(tasks) <= 1:
-        yield from (drive(settings, task) for task in tasks)
-        return
-    with workers(min(settings.jobs, len(tasks))) as (pool, _):
-        for finished in as_completed([pool.submit(drive, settings, task) for task in tasks]):
-            yield finished.result()
+    work = partial(drive, settings)
+    if settings.backend == "ray" and tasks:
+        yield from on_ray(work, tasks, settings.jobs)
+    elif settings.jobs == 1 or len(tasks) <= 1:
+        yield from map(work, tasks)
+    else:
+        with workers(min(settings.jobs, len(tasks))) as (pool, _):
+            for finished in as_completed([pool.submit(work, task) for task in tasks]):
+                yield finished.result()

@@ -1,31 +1,44 @@
 """What a scoring run is asked for; also the command line of evaluate.py."""
 
-from dataclasses import dataclass, replace
+import shlex
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from baselines.cluster import check_ray
 from baselines.contenders import CONTENDERS, contender_named, shipped_models
+from baselines.grid import Task, grid, shard_of
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
 from cad_env.types import FRAMES
 
 HAZARDS = {"all": None, "yes": True, "no": False}
+ALL = ("all",)
+BACKENDS = ("processes", "ray")
+HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Score contenders in closed loop, all on the same seeds.
+    """Score contenders in closed loop, all on the same seeds of every scenario.
 
-    Writes episodes.jsonl (one line an episode) and scores.json (rates with 95 % Wilson intervals), and prints the
-    table. Interrupt it as you like: the same command goes on where it stopped.
+    Writes episodes.jsonl (one line an episode), scores.json (rates with 95 % Wilson intervals) and report.html (tables
+    and plots), and prints the table. Interrupt it as you like: the same command goes on where it stopped.
+    `--merge FOLDER FOLDER ... --out FOLDER` instead of these options puts the finished shards of one run together.
     """
 
-    scenario: str = "left_turn"
+    scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
     contender: tuple[str, ...] = tuple(CONTENDERS)  # who drives, in the order of the table
     policy: Path | None = None  # folder of the trained models `shared` and `own`; default: those of the package
-    episodes: int = 500  # per contender
+    episodes: int = 500  # per scenario and contender
     first_seed: int = 1_000_000  # training never uses seeds from a million on
     jobs: int = 1  # processes
-    out: Path | None = None  # folder to write to; default: results/<scenario>
+    backend: str = "processes"  # or ray: on the cores of this machine, or on the cluster that RAY_ADDRESS names
+    shard: str | None = None  # i/n: only the i-th of n parts of the run, into <out>/shard_i_of_n
+    out: Path = Path("results")  # folder to write to
+    report: bool = True  # write report.html
+    gif: int = 0  # animations of each scenario, contender and outcome, into <out>/gifs and the report
+    traffic: str = "light"  # none, light or dense: how much is on the road around the cast of a scenario
+    penetration: float | None = None  # share of the vehicles that is connected; default: two to four
     radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
     delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own
@@ -37,24 +50,44 @@ class Settings:
     def __post_init__(self) -> None:
         for name in self.contender:
             contender_named(name)
-        if not self.contender or len(set(self.contender)) < len(self.contender):
-            raise ValueError(f"contender must name at least one, each once, got {' '.join(self.contender)!r}")
+        for what in ("scenario", "contender"):
+            names = getattr(self, what)
+            if not names or len(set(names)) < len(names):
+                raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
         check_range("episodes", self.episodes, 1, 10_000_000)
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)
+        check_range("gif", self.gif, 0, 1000)
+        if self.backend not in BACKENDS:
+            raise ValueError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}")
+        if self.backend == "ray":
+            check_ray()
+        if self.shard is not None:
+            shard_of(self.shard)
+            if self.gif:
+                raise ValueError("gif is for a whole run: merge the shards first")
         if self.hazard not in HAZARDS:
             raise ValueError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}")
         from cad_env.simulation import setup_from  # here, because highway-env takes a second that --help need not wait
 
-        setup_from(self.environment(shares=True))
+        for scenario in self.scenarios():
+            setup_from(self.environment(scenario, shares=True))
 
-    def environment(self, shares: bool) -> dict[str, Any]:
+    def scenarios(self) -> tuple[str, ...]:
+        """The names of the scenarios, in the order of the table."""
+        from cad_env.scenarios import SCENARIOS  # here, for the same reason
+
+        return tuple(SCENARIOS) if self.scenario == ALL else self.scenario
+
+    def environment(self, scenario: str, shares: bool) -> dict[str, Any]:
         """The options of the environment for a contender that shares, or does not."""
         return {
-            "scenario": self.scenario,
+            "scenario": scenario,
             "radio": self.radio_config() if shares else RADIO_PRESETS["none"],
             "sensor": SensorConfig(noise=self.sensor_noise, gnss_noise=self.gnss_noise),
             "depth": self.depth,
+            "traffic": self.traffic,
+            "penetration": self.penetration,
         }
 
     def radio_config(self) -> RadioConfig:
@@ -63,13 +96,27 @@ class Settings:
         return replace(radio_config(self.radio), **{name: value for name, value in chosen.items() if value is not None})
 
     def seeds(self) -> range:
-        """The same for every contender."""
+        """The same for every scenario and contender."""
         return range(self.first_seed, self.first_seed + self.episodes)
 
-    def models(self) -> Path:
-        """The folder of trained models."""
-        return shipped_models(self.scenario) if self.policy is None else self.policy
+    def tasks(self) -> list[Task]:
+        """Every episode of this run, or of this shard of it."""
+        return grid(self.scenarios(), self.contender, self.seeds(), self.shard)
+
+    def models(self, scenario: str) -> Path:
+        """The folder of trained models for a scenario."""
+        return shipped_models(scenario) if self.policy is None else self.policy
 
     def folder(self) -> Path:
         """Where the results go."""
-        return Path("results") / self.scenario if self.out is None else self.out
+        return self.out if self.shard is None else self.out / "shard_{}_of_{}".format(*shard_of(self.shard))
+
+    def command(self) -> str:
+        """A command that gives these results, however they were come by."""
+        words = ["python", "evaluate.py"]
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name not in HOW and value != field.default:
+                values = value if isinstance(value, tuple) else (value,)
+                words += ["--" + field.name.replace("_", "-"), *map(str, values)]
+        return shlex.join(words)

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from tqdm import tqdm
 
 import cad_env
 from cad_env.scenarios import scenario_named
+from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import place
 from cad_env.world.state import OFF
 from cad_env.world.step import advance
@@ -116,13 +117,13 @@ def parallel(env: Any, steps: int, first_seed: int) -> Measured:
 def world(steps: int, first_seed: int) -> Measured:
     """Step the bare world: drivers, motion and contact of twelve vehicles."""
     scenario = scenario_named("left_turn")
-    config = scenario.configured({"others": (VEHICLES - 3, VEHICLES - 3)})  # besides the ego, truck and collider
+    ranges, dense = scenario.configured({}), Traffic("dense")
     routes, agents, actions = scenario.map.routes, np.array([0]), np.array([cad_env.GO])
     scratch = np.zeros(VEHICLES)
     result = Measured()
     while result.steps < steps:
-        state = place(scenario.scene(config, first_seed + result.resets, hazard=True), routes)
-        assert len(state.speed) == VEHICLES
+        scene = scenario.scene(ranges, dense, first_seed + result.resets, hazard=True)
+        state = place(replace(scene, placements=scene.placements[:VEHICLES]), routes)
         start = time.process_time()
         for _ in range(EPISODE):
             advance(state, routes, agents, actions, scratch)
@@ -141,8 +142,8 @@ def peer(simulation_hz: int) -> gym.Env[Any, Any]:
 def stepping_figures(settings: Settings) -> dict[str, list[float]]:
     """Every figure of a running environment, once per repeat."""
     peers = {hz: peer(hz) for hz in (10, 20)}
-    env = gym.make(ENV_ID, traffic=FOUR)
-    agents = cad_env.parallel_env(ENV_ID, traffic=FOUR)
+    env = gym.make(ENV_ID, ranges=FOUR)
+    agents = cad_env.parallel_env(ENV_ID, ranges=FOUR)
     stages = Stages()
     few = settings.steps // 10
     figures: dict[str, list[float]] = {}

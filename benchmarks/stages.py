@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from cad_env.ensemble import Ensemble
-from cad_env.live import reward, tell
+from cad_env.live import tell
 from cad_env.pipeline.codec import write
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.radio import send
@@ -103,7 +103,6 @@ def _observe(scene):
 
 @numba.njit
 def _outcome(scene):
-    reward(scene.task, 0, scene.world, 0, scene.clock[0])
     tell(scene)
 
 
@@ -152,6 +151,6 @@ def live_scenes(age: int) -> Any:
     for place in range(SCENES):
         live.start(place, place)
     everywhere = np.arange(SCENES)
-    for step in range(round(age)):
+    for step in range(age):
         live.step(everywhere, np.full(SCENES, step * STEP > 2.0, np.int64))
     return live

@@ -10,11 +10,15 @@ from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 
 from cad_env.config import check_names
+from cad_env.drawing.framing import screen
+from cad_env.drawing.layers import LAYERS, checked_layers
+from cad_env.drawing.viewer import SceneViewer
 from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
+from cad_env.scenarios import scenario_named
 from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
 from cad_env.types import BRAKE, GO, Floats, Observation
-from cad_env.views import NorthUpViewer, WorldRoad
+from cad_env.views import WorldRoad
 
 RENDER_MODES = ("human", "rgb_array")
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth")
@@ -26,8 +30,9 @@ class CADEnv(AbstractEnv):
     Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
     dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `traffic` (none, light or dense),
     `penetration` (share of the vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is
-    drawn from), `object_lists` (True adds to info what each connected vehicle tracks). The reward of a step is the
-    share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
+    drawn from), `object_lists` (True adds to info what each connected vehicle tracks), `layers` (names of what pictures
+    show over highway-env's view). The reward of a step is the share of the way to the goal covered in it, +1 on
+    arrival, -1 on a collision.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})
@@ -39,8 +44,8 @@ class CADEnv(AbstractEnv):
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
-        check_names("option", options, [*_SETUP, "object_lists", "config", "render_mode"])
-        self.viewer: NorthUpViewer | None = None
+        check_names("option", options, [*_SETUP, "object_lists", "layers", "config", "render_mode"])
+        self.viewer: SceneViewer | None = None
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
 
     @classmethod
@@ -52,11 +57,9 @@ class CADEnv(AbstractEnv):
             "action": {"type": "GoBrake"},
             "simulation_frequency": 20,
             "policy_frequency": 10,
-            "screen_width": 720,
-            "screen_height": 720,
-            "centering_position": [0.5, 0.5],
-            "scaling": 6.0,
+            **screen(scenario_named("left_turn").map),
             "scenario": "left_turn",
+            "layers": tuple(LAYERS),  # what pictures show over highway-env's view
             "object_lists": False,  # True: info holds what each connected vehicle tracks by itself
         }
 
@@ -68,6 +71,10 @@ class CADEnv(AbstractEnv):
         for name in ("observation", "action", "simulation_frequency", "policy_frequency"):
             if given.get(name, default[name]) != default[name]:
                 raise ValueError(f"{name} is {default[name]!r} in this environment, got {given[name]!r}")
+        if "layers" in given:
+            given["layers"] = checked_layers(given["layers"])
+        if "scenario" in given:
+            given = {**screen(scenario_named(given["scenario"]).map), **given}
         super().configure(given)
         self.simulation = Simulation(setup_from({k: v for k, v in self.config.items() if k in _SETUP}))
 
@@ -141,7 +148,7 @@ class CADEnv(AbstractEnv):
             )
             return None
         if self.viewer is None:
-            self.viewer = NorthUpViewer(self)
+            self.viewer = SceneViewer(self)
         return super().render()
 
 

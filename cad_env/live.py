@@ -22,17 +22,17 @@ from cad_env.world.state import Routes, World
 from cad_env.world.step import advance
 
 MAX_STEPS = 300  # decisions: 30 s
-# How an episode stands for one of its agents, as compiled code knows it, and the reward that comes with it.
+# How it stands for a vehicle, as compiled code knows it, and the reward that comes with it.
 UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3
-FINAL_REWARD = (0.0, 1.0, -1.0, 0.0)
-LEAST_WAY = 1.0  # m, so that an agent that starts at its goal has a finite reward
+FINAL_REWARDS = (0.0, 1.0, -1.0, 0.0)
 
 
 class Told(NamedTuple):
     """What the newest step came to, for the ego: the numbers of info dicts. Of many scenes (S,), of one (1,)."""
 
     outcome: Ints  # int8
-    reward: Floats
+    reward: Floats  # the share of its way that it covered, and the final one
+    progress: Floats  # m along its route
     speed: Floats  # m/s
     min_ttc: Floats  # s, least time to contact so far
     bytes_sent: Ints  # by all connected vehicles, as what follows
@@ -41,16 +41,6 @@ class Told(NamedTuple):
     messages_sent: Ints
     messages_lost: Ints  # on their way to the ego
     refused: Ints  # why the first message that was refused was, 0 if none was
-
-
-class Task(NamedTuple):
-    """Where R agents are going and how far they have come."""
-
-    goal: Floats  # (R,) m along its route, where each has arrived
-    start: Floats  # (R,) m, where each was at first
-    progress: Floats  # (R,) m, where each was when it was last rewarded
-    outcome: Ints  # (R,) int8 how the episode stands for each
-    reward: Floats  # (R,) of the newest step
 
 
 class LiveScene(NamedTuple):
@@ -65,7 +55,8 @@ class LiveScene(NamedTuple):
     keys: Ints  # (2, 2) uint64 of the streams of chance
     clock: Ints  # (1,) decisions so far
     actions: Ints  # (V,) GO or BRAKE
-    task: Task
+    goal: float  # m along its route, where the ego has arrived
+    way: float  # m from its start to there
     told: Told
     scratch: Floats  # (N,)
 
@@ -75,7 +66,7 @@ class Board:
 
     def __init__(self, places: int) -> None:
         self.told = Told(
-            np.zeros(places, np.int8), *(np.zeros(places) for _ in range(3)),
+            np.zeros(places, np.int8), *(np.zeros(places) for _ in range(4)),
             *(np.zeros(places, np.int64) for _ in range(6)),
         )  # fmt: skip
         self.views: View = empty_view(places, 1)  # what each ego decides on
@@ -125,31 +116,27 @@ def play(scenes: Any, which: Ints, actions: Ints, moves: bool) -> None:
         run(
             scene.world, scene.routes, scene.fleet, scene.sensor, scene.link, scene.depth, scene.keys, scene.clock[0]
         )  # fmt: skip
-        for agent in range(scene.task.goal.shape[0]):
-            reward(scene.task, agent, scene.world, scene.fleet.rows[agent], scene.clock[0])
         tell(scene)
 
 
-@inlined
-def reward(task: Task, agent: int, world: World, row: int, steps: int) -> None:
-    """How the episode stands for an agent, and its reward: the share of its way that it covered, and the final one."""
-    progress, outcome = world.progress[row], UNDER_WAY
-    if world.struck[row] >= 0:
-        outcome = COLLIDED
-    elif progress >= task.goal[agent]:
-        outcome = SUCCEEDED
-    elif steps >= MAX_STEPS:
-        outcome = TIMED_OUT
-    covered = progress - task.progress[agent]
-    task.reward[agent] = covered / max(task.goal[agent] - task.start[agent], LEAST_WAY) + FINAL_REWARD[outcome]
-    task.progress[agent], task.outcome[agent] = progress, outcome
+@compiled
+def verdict(struck: bool, arrived: bool, over: bool) -> int:
+    """How it ended for a vehicle: struck or not, at its goal or not, its time up or not."""
+    if struck:
+        return COLLIDED
+    if arrived:
+        return SUCCEEDED
+    return TIMED_OUT if over else UNDER_WAY
 
 
 @inlined
 def tell(scene: LiveScene) -> None:
     """Write down what the newest step came to."""
     world, told, air = scene.world, scene.told, scene.fleet.report
-    told.outcome[0], told.reward[0], told.speed[0] = scene.task.outcome[0], scene.task.reward[0], world.speed[0]
+    outcome = verdict(world.struck[0] >= 0, world.progress[0] >= scene.goal, scene.clock[0] >= MAX_STEPS)
+    told.outcome[0], told.speed[0] = outcome, world.speed[0]
+    told.reward[0] = (world.progress[0] - told.progress[0]) / scene.way + FINAL_REWARDS[outcome]
+    told.progress[0] = world.progress[0]
     told.min_ttc[0] = min(told.min_ttc[0], time_to_contact(world, 0))
     told.bytes_sent[0] = told.largest_message[0] = told.messages_sent[0] = told.refused[0] = 0
     for v in range(air.sent_bytes.shape[0]):

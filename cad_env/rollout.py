@@ -32,6 +32,7 @@ class Episode:
     largest_message: Ints  # (n,) bytes
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
+    hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet
 
     @property
     def time(self) -> float:
@@ -58,8 +59,9 @@ class BatchPolicy(Protocol):
         """(n,) GO or BRAKE for observations with a leading dimension n, or for the Truths of n scenes if privileged."""
 
 
-# Called before every decision with the simulation, what the policy saw, and what it chose.
-Watch = Callable[[Simulation, Observation, int], None]
+# Called before every decision with the environment, or its simulation, what the policy saw, and what it chose.
+Watch = Callable[[CADEnv, Observation, int], None]
+WatchOfMany = Callable[[Simulation, Observation, int], None]
 
 
 def rollout(
@@ -77,7 +79,7 @@ def rollout(
     while info["outcome"] is None:
         action = policy.act(env.truth() if policy.privileged else observation)
         if watch is not None:
-            watch(env.simulation, observation, action)
+            watch(env, observation, action)
         observation, _, _, _, info = env.step(action)
         log.note(_HERE, np.array([action]), {name: np.array([info[name]]) for name in _TOLD})
     return log.episode(0, env.simulation, contender)
@@ -89,7 +91,7 @@ def rollouts(
     seeds: Iterable[int],
     contender: str = "",
     hazard: bool | None = None,
-    watch: Watch | None = None,
+    watch: WatchOfMany | None = None,
 ) -> Iterator[Episode]:
     """Drive an episode per seed, as many at a time as there are scenes in the vector environment, yielded as they end.
 
@@ -160,6 +162,6 @@ class _Log:
         info = simulation.info()
         return Episode(
             simulation.scenario.name, contender, info["seed"], info["hazard"], info["outcome"],
-            self._action[place, :count].copy(), min_ttc=info["min_ttc"],
+            self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_timing=info["hazard_timing"],
             **{name: part[place, :count].copy() for name, part in self._told.items()},
         )  # fmt: skip

@@ -21,13 +21,13 @@ KINDS = ("all", "yes", "no")
 class Record:
     """One episode in one line of `episodes.jsonl`; the word None below is JSON's null.
 
-    >>> line = Record("left_turn", "expert", 7, True, "success", 9.5, 31, 283.5, 302, 380, 19, 107730, None).line()
+    >>> line = Record("left_turn", "expert", 7, True, "success", 9.5, 31, 283.5, 302, 380, 19, 107730, None, 0.1).line()
     >>> parse_record(line).bytes_per_message_max
     302
     >>> parse_record('{"scenario": "left_turn"}')
     Traceback (most recent call last):
     ValueError: an episode's record must have the keys scenario, contender, seed, hazard, outcome, time, brakes,
-    bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc
+    bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc, hazard_timing
     """
 
     scenario: str
@@ -43,6 +43,7 @@ class Record:
     messages_lost: int  # on their way to the ego
     bytes_total: int  # sent by all connected vehicles
     min_ttc: float | None  # s, None if nothing was on a collision course
+    hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet; None if never
 
     def __post_init__(self) -> None:
         for name, valid in self._fields_valid().items():
@@ -61,6 +62,7 @@ class Record:
             "bytes_per_message_mean": self.bytes_per_message_mean is None or _is_amount(self.bytes_per_message_mean),
             "bytes_per_message_max": self.bytes_per_message_max is None or _is_count(self.bytes_per_message_max),
             "min_ttc": self.min_ttc is None or _is_amount(self.min_ttc),
+            "hazard_timing": self.hazard_timing is None or _is_number(self.hazard_timing),
         }
 
     def line(self) -> str:
@@ -72,8 +74,12 @@ def _is_count(value: object) -> bool:
     return type(value) is int and value >= 0
 
 
+def _is_number(value: object) -> bool:
+    return type(value) in (int, float) and -math.inf < value < math.inf  # type: ignore[operator]
+
+
 def _is_amount(value: object) -> bool:
-    return type(value) in (int, float) and 0.0 <= value < math.inf  # type: ignore[operator]
+    return _is_number(value) and value >= 0.0  # type: ignore[operator]
 
 
 _RECORD_KEYS = [field.name for field in fields(Record)]
@@ -179,24 +185,28 @@ def _mean(values: Sequence[float]) -> float | None:
 
 _Interval = tuple[float | None, float | None, float | None]
 
-_TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
+TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
            "time s", "needless brakes %", "bytes/message", "max")  # fmt: skip
 
 
 def table(rows: Sequence[Scorecard]) -> str:
-    """The rows as text: rates in per cent with their interval, a dash where there is nothing to say."""
-    cells = [_TITLES, *(_cells(row) for row in rows)]
-    widths = [max(len(line[k]) for line in cells) for k in range(len(_TITLES))]
+    """The rows as text, scenario by scenario: rates in per cent with their interval, a dash where there is no value."""
+    cells = [TITLES, *(cells_of(row) for row in rows)]
+    widths = [max(len(line[k]) for line in cells) for k in range(len(TITLES))]
     lines = ["  ".join(_aligned(k, cell, widths[k]) for k, cell in enumerate(line)).rstrip() for line in cells]
-    rule = "-" * max(len(line) for line in lines)
-    return "\n".join([lines[0], rule, *lines[1:]])
+    head = [lines[0], "-" * max(len(line) for line in lines)]
+    parts: dict[str, list[str]] = {}
+    for row, line in zip(rows, lines[1:], strict=True):
+        parts.setdefault(row.scenario, []).append(line)
+    return "\n\n".join("\n".join(head + part) for part in parts.values())
 
 
 def _aligned(column: int, cell: str, width: int) -> str:
     return cell.ljust(width) if column < 3 else cell.rjust(width)
 
 
-def _cells(row: Scorecard) -> tuple[str, ...]:
+def cells_of(row: Scorecard) -> tuple[str, ...]:
+    """A row of the table as text, under TITLES."""
     return (
         row.scenario, row.contender, row.hazard, str(row.episodes),
         _percent(row.collision_rate, row.collision_low, row.collision_high),

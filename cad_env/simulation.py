@@ -7,6 +7,7 @@ out what it shows.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,9 @@ import numpy as np
 from cad_env.chance import stream_key
 from cad_env.compiled import announce_compilation
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
-from cad_env.live import Board, LiveScene, Task, play
+from cad_env.live import FINAL_REWARDS, Board, LiveScene, play, verdict
 from cad_env.pipeline.observe import as_observation, empty_view
-from cad_env.pipeline.radio import REASONS, link_of
+from cad_env.pipeline.radio import REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
 from cad_env.pipeline.step import Fleet, new_fleet
 from cad_env.planner import Truth
@@ -24,12 +25,12 @@ from cad_env.rows import as_graph
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
-from cad_env.types import FRAMES, STEP, Command, Floats, Graph, Ints, Observation
+from cad_env.types import FRAMES, STEP, Floats, Graph, Ints, Observation
 from cad_env.world.state import World
 
-BEYOND = 25.0  # m past its manoeuvre, where a vehicle other than the ego has arrived
 SUCCESS, COLLISION, TIMEOUT = "success", "collision", "timeout"
 OUTCOMES = (None, SUCCESS, COLLISION, TIMEOUT)  # by the numbers of `cad_env.live`
+FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOMES, FINAL_REWARDS, strict=True)))
 REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
 
 
@@ -102,19 +103,16 @@ class Simulation:
         vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
         views = self._board.views_at(self._place) if count == 1 else empty_view(count)
         self.fleet: Fleet = new_fleet(self.agents, vehicles, count, self._link)._replace(views=views)
+        self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
+        goal, told = self.scene.goal, self._board.told_at(self._place)
+        told.min_ttc[0], told.progress[0] = math.inf, self.world.progress[0]
         self._live = LiveScene(
-            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth,
-            np.stack([stream_key(seed, name) for name in ("sense", "radio")]), np.zeros(1, np.int64),
-            np.zeros(len(self.agents), np.int64), self._task(count), self._board.told_at(self._place),
-            np.zeros(vehicles),
+            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys,
+            np.zeros(1, np.int64), np.zeros(len(self.agents), np.int64), float(goal),
+            float(goal - self.world.progress[0]), told, np.zeros(vehicles),
         )  # fmt: skip
-        self._live.told.min_ttc[0] = math.inf
         self._board.put(self._place, self._live)
         self._perceive()
-
-    def _task(self, count: int) -> Task:
-        progress, goal = self.world.progress[self.agents[:count]], [self.goal(agent) for agent in range(count)]
-        return Task(np.array(goal), progress, progress.copy(), np.zeros(count, np.int8), np.zeros(count))
 
     def step(self, actions: Ints) -> None:
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
@@ -138,22 +136,19 @@ class Simulation:
         """What receiver `agent` decides on."""
         return as_observation(_at(self.fleet.views, agent))
 
-    def outcome(self, agent: int = 0) -> str | None:
-        """success, collision, timeout, or None while the episode of this receiver goes on."""
-        return OUTCOMES[self._live.task.outcome.item(agent)]
+    def observations(self) -> list[Observation]:
+        """What every receiver decides on, in their order: one copy of each part for all, and a row of it for each."""
+        views = self.fleet.views
+        parts = {name: part.copy() for name, part in zip(views._fields, views, strict=True)}
+        return [{name: part[k] for name, part in parts.items()} for k in range(len(views.ego))]
 
-    def reward(self, agent: int = 0) -> float:
-        """Of the newest step: the share of its way that this receiver covered, +1 on arrival, -1 on a collision."""
-        return self._live.task.reward.item(agent)
+    def outcome(self) -> str | None:
+        """success, collision, timeout, or None while the episode of the ego goes on."""
+        return OUTCOMES[self._live.told.outcome.item()]
 
-    def goal(self, agent: int) -> float:
-        """m along its route where an agent has arrived: the scene's goal for the ego, past the junction for others."""
-        row = self.agents[agent]
-        if row == 0:
-            return self.scene.goal
-        routes, route = self.map.routes, self.world.route[row]
-        turning = np.flatnonzero(routes.command[route] != Command.FOLLOW_LANE)
-        return float(turning[-1] * routes.spacing + BEYOND) if len(turning) else float(routes.length[route])
+    def reward(self) -> float:
+        """Of the ego in the newest step: the share of its way that it covered, +1 on arrival, -1 on a collision."""
+        return self._live.told.reward.item()
 
     def truth(self, agent: int = 0) -> Truth:
         """The world itself, for a privileged policy."""
@@ -197,6 +192,15 @@ class Simulation:
         graphs = [self.own_graph(agent) for agent in range(len(self.agents))]
         return [graph.position[1:, -1][graph.mask[1:, -1]] for graph in graphs]
 
+    def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
+        """What becomes, in this step, of the message that a sender sent to a receiver (see radio.fate), and its bytes.
+
+        Computed anew when asked, as `deliver` did: nothing is kept of it.
+        """
+        air = self.fleet.air
+        end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
+        return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])
+
     def own_graph(self, agent: int) -> Graph:
         """What connected vehicle `agent` knows by itself."""
         return as_graph(_at(self.fleet.window, agent), agent, self.time)
@@ -204,6 +208,11 @@ class Simulation:
     def merged_graph(self, agent: int) -> Graph:
         """What receiver `agent` knows with what it was sent."""
         return as_graph(_at(self.fleet.merged, agent), agent, self.time)
+
+
+def outcome_of(struck: bool, arrived: bool, over: bool) -> str | None:
+    """How it ended for a vehicle, or None while it goes on: struck or not, at its goal or not, its time up or not."""
+    return OUTCOMES[verdict(struck, arrived, over)]
 
 
 def _at(stack: Any, index: int) -> Any:

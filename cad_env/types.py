@@ -14,6 +14,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[Any]  # any integer type; kernels use int64 indices, int8 classes and uint64 keys
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
+Image = NDArray[np.uint8]  # (height, width, 3)
 Observation = dict[str, NDArray[Any]]
 
 GO, BRAKE = 0, 1

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from highway_env.envs.common.graphics import EnvViewer
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
@@ -137,22 +136,3 @@ class WorldRoad(Road):
     def step(self, dt: float) -> None:
         """Move the world by dt s."""
         substep(self.world, self.routes, self.scratch, dt)
-
-
-class NorthUpViewer(EnvViewer):
-    """The stock viewer on a picture turned north up: its y axis points down, ours up."""
-
-    def display(self) -> None:
-        """Draw one frame."""
-        import pygame
-
-        window = not self.config["offscreen_rendering"]
-        self.offscreen = True  # the stock viewer must not show the picture before it is turned
-        super().display()
-        self.offscreen = not window
-        self.sim_surface.blit(pygame.transform.flip(self.sim_surface, False, True), (0, 0))
-        if window:
-            self.screen.blit(self.sim_surface, (0, 0))
-            if self.config["real_time_rendering"]:
-                self.clock.tick(self.config["policy_frequency"])
-            pygame.display.flip()

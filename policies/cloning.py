@@ -1,7 +1,7 @@
 """Behaviour cloning: balanced batches, the loss, and what a driver is worth in closed loop."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +11,10 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from cad_env.env import CADEnv
 from cad_env.files import replace_file
 from cad_env.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints
+from cad_env.vector import CADVectorEnv
 from policies.demonstrations import Frames
 from policies.driver import LearnedPolicy
 from policies.fused import fused_logits
@@ -26,52 +26,65 @@ from policies.stgraph import StGraphNet
 class Recipe:
     """How a network is fitted."""
 
-    batch: int = 64  # graphs
+    batch: int = 96  # graphs
     learning_rate: float = 5e-3  # of Adam, at the start of a round; falls to a tenth by a cosine
     brake_share: float = 0.3  # of every batch; in the recorded frames it is about a tenth
 
 
-def balanced(labels: Ints, batch: int, brake_share: float, rng: np.random.Generator) -> Iterator[Ints]:
-    """Endless batches of frame numbers with a fixed share of frames in which the expert brakes.
+def balanced(
+    labels: Mapping[str, Ints], batch: int, brake_share: float, rng: np.random.Generator
+) -> Iterator[dict[str, Ints]]:
+    """Endless batches of frame numbers: equally many of every scenario, a fixed share of them with the expert braking.
 
-    Without it most batches say "go", and the clone learns to.
+    Without the share most frames say "go", and the clone learns to; without the balance it learns the scenario whose
+    episodes are long. `batch` is rounded to a multiple of the scenarios.
     """
-    brake, go = np.flatnonzero(labels == BRAKE), np.flatnonzero(labels != BRAKE)
-    if not len(brake) or not len(go):
-        raise ValueError("the demonstrations must hold frames of both kinds: record more episodes")
-    of_brake = round(batch * brake_share)
+    size = max(round(batch / len(labels)), 1)
+    of_brake = round(size * brake_share)
+    kinds = {name: (np.flatnonzero(of == BRAKE), np.flatnonzero(of != BRAKE)) for name, of in labels.items()}
+    for name, (brake, go) in kinds.items():
+        if not len(brake) or not len(go):
+            raise ValueError(f"the demonstrations of {name} must hold frames of both kinds: record more episodes")
     while True:
-        yield np.concatenate([rng.choice(brake, of_brake), rng.choice(go, batch - of_brake)])
+        yield {
+            name: np.concatenate([rng.choice(brake, of_brake), rng.choice(go, size - of_brake)])
+            for name, (brake, go) in kinds.items()
+        }
 
 
 def fit(
     network: StGraphNet,
     optimiser: torch.optim.Adam,
-    frames: Frames,
+    frames: Mapping[str, Frames],
     recipe: Recipe,
     steps: range,
     total: int,
     rng: np.random.Generator,
     advance: Callable[[int], object],
 ) -> float:
-    """Take the steps numbered `steps` of a round of `total`; return their mean loss."""
+    """Take the steps numbered `steps` of a round of `total` on the frames of every scenario; return their mean loss."""
     network.train()
-    batches = balanced(frames.label, recipe.batch, recipe.brake_share, rng)
+    batches = balanced({name: of.label for name, of in frames.items()}, recipe.batch, recipe.brake_share, rng)
     losses = []
     for step in steps:
         for group in optimiser.param_groups:
             group["lr"] = recipe.learning_rate * (0.55 + 0.45 * math.cos(math.pi * step / total))
-        chosen = next(batches)
-        seen = {name: torch.from_numpy(value) for name, value in frames.batch(chosen).items()}
-        loss = torch.nn.functional.cross_entropy(
-            fused_logits(network, seen), torch.from_numpy(frames.label[chosen]).long()
-        )
+        seen, label = _gathered(frames, next(batches))
+        loss = torch.nn.functional.cross_entropy(fused_logits(network, seen), label)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         losses.append(float(loss.detach()))
         advance(1)
     return float(np.mean(losses))
+
+
+def _gathered(frames: Mapping[str, Frames], chosen: Mapping[str, Ints]) -> tuple[dict[str, Tensor], Tensor]:
+    """The observations of the chosen frames of every scenario, in one batch, and their labels."""
+    parts = [frames[name].batch(numbers) for name, numbers in chosen.items()]
+    seen = {name: torch.from_numpy(np.concatenate([part[name] for part in parts])) for name in parts[0]}
+    label = np.concatenate([frames[name].label[numbers] for name, numbers in chosen.items()])
+    return seen, torch.from_numpy(label).long()
 
 
 @dataclass(frozen=True)
@@ -86,24 +99,14 @@ class Worth:
 
 
 def drive(
-    network: StGraphNet,
-    threshold: float,
-    envs: Sequence[CADEnv],
-    seeds: Sequence[int],
-    advance: Callable[[int], object],
+    policy: LearnedPolicy, envs: CADVectorEnv, seeds: Sequence[int], advance: Callable[[int], object]
 ) -> list[Episode]:
     """Closed-loop episodes of a network."""
     episodes = []
-    for episode in rollouts(envs, LearnedPolicy(network, threshold), seeds):
+    for episode in rollouts(envs, policy, seeds):
         episodes.append(episode)
         advance(1)
     return episodes
-
-
-def worth(episodes: Sequence[Episode]) -> Worth:
-    """The worth of a driver by what happened to it."""
-    failures = sum(episode.outcome != "success" for episode in episodes)
-    return Worth(failures, float(np.mean([episode.time for episode in episodes])))
 
 
 def save_state(path: Path, network: StGraphNet, optimiser: torch.optim.Adam) -> None:

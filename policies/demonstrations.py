@@ -20,6 +20,7 @@ from cad_env.planner import Expert
 from cad_env.rollout import rollouts
 from cad_env.simulation import Simulation
 from cad_env.types import FRAMES, OBSERVED_TRACKS, Floats, Ints, Observation, Policy
+from cad_env.vector import CADVectorEnv
 
 SHARD_EPISODES = 64
 FORMAT = 1
@@ -82,6 +83,8 @@ def frames_of(observations: Sequence[Observation], labels: Sequence[int], seeds:
 
 def join(parts: Sequence[Frames]) -> Frames:
     """All frames of several recordings."""
+    if len(parts) == 1:
+        return parts[0]
     ends = np.cumsum([0] + [part.first_node[-1] for part in parts])
     first = [part.first_node[:-1] + end for part, end in zip(parts, ends, strict=False)]
     whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS if name != "first_node"}
@@ -89,19 +92,23 @@ def join(parts: Sequence[Frames]) -> Frames:
 
 
 def record(
-    folder: Path, env: Callable[[], CADEnv], driver: Policy, seeds: Sequence[int], advance: Callable[[int], object]
+    folder: Path,
+    envs: CADVectorEnv | Sequence[CADEnv],
+    driver: Policy,
+    seeds: Sequence[int],
+    advance: Callable[[int], object],
 ) -> Frames:
     """Drive an episode per seed, label every frame by the expert, and keep the shards that are already there.
 
     `advance` is told how many episodes were finished. Raises ShardError for a shard that is damaged or another's.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    parts, envs, expert = [], [env() for _ in range(16)], Expert()
+    parts = []
     for start in range(0, len(seeds), SHARD_EPISODES):
         wanted = list(seeds[start : start + SHARD_EPISODES])
         path = folder / f"shard_{start // SHARD_EPISODES:05d}.npz"
         if not path.exists():
-            write_shard(path, _drive(envs, driver, expert, wanted))
+            write_shard(path, _drive(envs, driver, wanted))
         part = read_shard(path)
         if set(np.unique(part.seed)) != set(wanted):
             raise ShardError(f"{path}: holds other episodes than this run records; give another folder or delete it")
@@ -110,19 +117,23 @@ def record(
     return join(parts)
 
 
-def _drive(envs: Sequence[CADEnv], driver: Policy, expert: Expert, seeds: Sequence[int]) -> Frames:
+def _drive(envs: CADVectorEnv | Sequence[CADEnv], driver: Policy, seeds: Sequence[int]) -> Frames:
+    expert = driver if isinstance(driver, Expert) else Expert()
     seen: list[Observation] = []
     labels: list[int] = []
     owner: list[int] = []
 
-    def watch(simulation: Simulation, observation: Observation, _: int) -> None:
+    def watch(simulation: Simulation, observation: Observation, action: int) -> None:
         seen.append(observation)
-        labels.append(expert.act(simulation.truth()))
+        labels.append(action if driver is expert else expert.act(simulation.truth()))
         owner.append(simulation.seed)
 
     for _ in rollouts(envs, driver, seeds, watch=watch):
         pass
-    return frames_of(seen, labels, owner)
+    # In the order of the seeds, however many scenes were driven side by side.
+    turn = {seed: number for number, seed in enumerate(seeds)}
+    order = sorted(range(len(owner)), key=lambda frame: turn[owner[frame]])
+    return frames_of([seen[k] for k in order], [labels[k] for k in order], [owner[k] for k in order])
 
 
 def write_shard(path: Path, frames: Frames) -> None:

@@ -1,13 +1,11 @@
 """From nothing to a driver: record the expert, clone it, let the clone drive and be corrected, keep the best.
 
-A course is a list of stages in files, so a killed run goes on after the last stage it finished. Every stage draws
-its chance from (seed, stage), so stopping and going on changes nothing.
+One network learns all scenarios of its course. A course is a list of stages in files, so a killed run goes on after
+the last stage it finished. Every stage draws its chance from (seed, stage), so stopping and going on changes nothing.
 """
 
-import csv
-import io
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,45 +14,52 @@ import numpy as np
 import torch
 
 from cad_env.config import check_range, radio_config
-from cad_env.env import CADEnv
-from cad_env.files import replace_file
 from cad_env.planner import Expert
-from policies.cloning import Recipe, Worth, drive, fit, load_state, save_state, worth
+from cad_env.scenarios import SCENARIOS, scenario_named
+from cad_env.types import Policy
+from cad_env.vector import CADVectorEnv
+from policies.cloning import Recipe, drive, fit, load_state, save_state
 from policies.demonstrations import Frames, join, record
 from policies.driver import LearnedPolicy
+from policies.metrics import Log, summary, worth
 from policies.saved import SavedModel, load_model, save_model
 from policies.stgraph import StGraphConfig, StGraphNet
 
-# Seeds of training stay below a million; those of scoring begin there.
+# Seeds of training stay below a million; those of scoring begin there. Every scenario uses the same ones.
 EXPERT_SEEDS, CORRECTED_SEEDS, VALIDATION_SEEDS, FINAL_SEEDS = 0, 300_000, 900_000, 950_000
 LAST_SEED = 999_999
 SIDE_BY_SIDE = 32
+FINALISTS = 2  # checkpoints that are validated once more, at every threshold
 
 # What one unit of each kind of work costs, relative to an optimiser step: for an honest progress bar.
-EXPERT_COST, DRIVEN_COST = 0.5, 2.0
+EXPERT_COST, DRIVEN_COST = 0.9, 1.6
 
 Advance = Callable[[float], object]
 
 
 @dataclass(frozen=True)
 class Course:
-    """How one network is trained."""
+    """How one network is trained. Episodes are counted per scenario."""
 
-    scenario: str = "left_turn"
+    scenarios: tuple[str, ...] = tuple(SCENARIOS)
     radio: str = "dsrc"  # none: trained, as it will be run, without sharing
     seed: int = 0
-    episodes: int = 1000  # driven by the expert
-    corrections: int = 0  # DAgger rounds: the network drives, the expert labels
-    corrected_episodes: int = 256  # in each of them
-    steps: int = 1800  # optimiser steps of the first round; half as many in each later one
+    episodes: int = 600  # driven by the expert
+    corrections: int = 2  # DAgger rounds: the network drives, the expert labels
+    corrected_episodes: int = 200  # in each of them
+    steps: int = 2400  # optimiser steps of the first round; half as many in each later one
     segments: int = 3  # parts of a round; a checkpoint and a validation after each
-    validation: int = 100  # episodes after each segment
-    final_validation: int = 150  # episodes for each of the best checkpoints and thresholds
-    thresholds: tuple[float, ...] = (0.5, 0.35)
+    validation: int = 60  # episodes after each segment
+    final_validation: int = 100  # episodes for each of the best checkpoints and thresholds
+    thresholds: tuple[float, ...] = (0.65, 0.5, 0.35)
     recipe: Recipe = field(default_factory=Recipe)
     network: StGraphConfig = field(default_factory=StGraphConfig)
 
     def __post_init__(self) -> None:
+        for name in self.scenarios:
+            scenario_named(name)
+        if not self.scenarios or len(set(self.scenarios)) < len(self.scenarios):
+            raise ValueError(f"scenarios must name at least one, each once, got {' '.join(self.scenarios)!r}")
         radio_config(self.radio)
         for name, low, high in (
             ("seed", 0, 2**31), ("episodes", 1, CORRECTED_SEEDS), ("corrections", 0, 50), ("steps", 3, 10**7),
@@ -73,10 +78,25 @@ class Course:
         rounds = range(self.corrections + 1)
         driven = self.corrections * self.corrected_episodes + self.segments * len(rounds) * self.validation
         driven += FINALISTS * len(self.thresholds) * self.final_validation
-        return EXPERT_COST * self.episodes + sum(self.steps_of(turn) for turn in rounds) + DRIVEN_COST * driven
+        per_scenario = EXPERT_COST * self.episodes + DRIVEN_COST * driven
+        return len(self.scenarios) * per_scenario + sum(self.steps_of(turn) for turn in rounds)
 
 
-FINALISTS = 2  # checkpoints that are validated once more, at every threshold
+@dataclass(frozen=True)
+class _Workshop:
+    """What the stages of a course work with."""
+
+    course: Course
+    folder: Path
+    network: StGraphNet
+    optimiser: torch.optim.Adam
+    envs: Mapping[str, CADVectorEnv]  # of every scenario
+    log: Log
+    advance: Advance
+
+    def driven(self, episodes: int) -> None:
+        """Tell of episodes that the network drove."""
+        self.advance(DRIVEN_COST * episodes)
 
 
 def train(course: Course, folder: Path, advance: Advance) -> None:
@@ -87,135 +107,72 @@ def train(course: Course, folder: Path, advance: Advance) -> None:
         advance(course.work())
         return
     folder.mkdir(parents=True, exist_ok=True)
-    log = _Log(folder / "metrics.csv")
     network = StGraphNet(course.network, seed=course.seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=course.recipe.learning_rate)
-    envs = [_env(course) for _ in range(SIDE_BY_SIDE)]
-    parts: list[Frames] = []
+    envs = {name: CADVectorEnv(SIDE_BY_SIDE, scenario=name, radio=course.radio) for name in course.scenarios}
+    shop = _Workshop(course, folder, network, optimiser, envs, Log(folder / "metrics.csv"), advance)
+    frames: dict[str, Frames] = {}
     for turn in range(course.corrections + 1):
-        parts.append(_record(course, folder, turn, network, advance))
-        _round(course, folder, turn, join(parts), network, optimiser, envs, log, advance)
-    _keep_best(course, folder, network, envs, log, advance)
+        for name in course.scenarios:
+            parts = [frames[name]] if turn else []
+            frames[name] = join([*parts, _record(shop, turn, name)])
+        _round(shop, turn, frames)
+    _keep_best(shop)
 
 
-def _env(course: Course) -> CADEnv:
-    return CADEnv(scenario=course.scenario, radio=course.radio)
+def _record(shop: _Workshop, turn: int, scenario: str) -> Frames:
+    """The frames of a scenario in a round: driven by the expert at first, then by the network as it is now."""
+    shards = shop.folder / "demonstrations" / scenario / f"round_{turn}"
+    first, count, cost = EXPERT_SEEDS, shop.course.episodes, EXPERT_COST
+    driver: Policy = Expert()
+    if turn > 0:
+        first, count, cost = CORRECTED_SEEDS + turn * 10_000, shop.course.corrected_episodes, DRIVEN_COST
+        driver = LearnedPolicy(shop.network)
+    return record(
+        shards, shop.envs[scenario], driver, range(first, first + count), lambda done: shop.advance(cost * done)
+    )
 
 
-def _record(course: Course, folder: Path, turn: int, network: StGraphNet, advance: Advance) -> Frames:
-    """The frames of a round: driven by the expert at first, then by the network as it is now."""
-    shards = folder / "demonstrations" / f"round_{turn}"
-    if turn == 0:
-        seeds, driver = range(EXPERT_SEEDS, EXPERT_SEEDS + course.episodes), Expert()
-        return record(shards, lambda: _env(course), driver, seeds, lambda n: advance(EXPERT_COST * n))
-    first = CORRECTED_SEEDS + turn * 10_000
-    seeds = range(first, first + course.corrected_episodes)
-    learner = LearnedPolicy(network)
-    return record(shards, lambda: _env(course), learner, seeds, lambda n: advance(DRIVEN_COST * n))
-
-
-def _round(
-    course: Course,
-    folder: Path,
-    turn: int,
-    frames: Frames,
-    network: StGraphNet,
-    optimiser: torch.optim.Adam,
-    envs: Sequence[CADEnv],
-    log: "_Log",
-    advance: Advance,
-) -> None:
-    """Fit the network to the frames so far, in segments, each validated in closed loop."""
-    total = course.steps_of(turn)
+def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
+    """Fit the network to the frames so far, in segments, each validated in closed loop on every scenario."""
+    course, total = shop.course, shop.course.steps_of(turn)
     size = total // course.segments
     for segment in range(course.segments):
-        checkpoint = _checkpoint(folder, turn, segment)
-        if checkpoint.exists() and log.has(turn, segment):
-            load_state(checkpoint, network, optimiser)
-            advance(size + DRIVEN_COST * course.validation)
+        checkpoint = _checkpoint(shop.folder, turn, segment)
+        if checkpoint.exists() and len(shop.log.of(turn, segment)) == len(course.scenarios):
+            load_state(checkpoint, shop.network, shop.optimiser)
+            shop.advance(size)
+            shop.driven(course.validation * len(course.scenarios))
             continue
         rng = np.random.default_rng([course.seed, turn, segment])
         steps = range(segment * size, (segment + 1) * size)
-        loss = fit(network, optimiser, frames, course.recipe, steps, total, rng, advance)
-        save_state(checkpoint, network, optimiser)
-        seeds = range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation)
-        log.add(turn, segment, round(loss, 5), 0.5, _validated(network, 0.5, envs, seeds, advance))
+        loss = fit(shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance)
+        save_state(checkpoint, shop.network, shop.optimiser)
+        found = _validated(shop, 0.5, range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation))
+        shop.log.replace(turn, segment, [{"loss": round(loss, 5), "threshold": 0.5, **row} for row in found])
 
 
-def _validated(
-    network: StGraphNet, threshold: float, envs: Sequence[CADEnv], seeds: range, advance: Advance
-) -> dict[str, Any]:
-    episodes = drive(network, threshold, envs, seeds, lambda n: advance(DRIVEN_COST * n))
-    outcomes = [episode.outcome for episode in episodes]
-    value = worth(episodes)
-    calm = [episode for episode in episodes if not episode.hazard]
-    return {
-        "episodes": len(episodes), "collisions": outcomes.count("collision"), "timeouts": outcomes.count("timeout"),
-        "failures": value.failures, "mean_time": round(value.time, 3),
-        "needless_brakes": round(sum(episode.brakes > 0 for episode in calm) / max(len(calm), 1), 4),
-    }  # fmt: skip
+def _validated(shop: _Workshop, threshold: float, seeds: range) -> list[dict[str, Any]]:
+    """What the network is worth in closed loop, a summary for each scenario."""
+    policy = LearnedPolicy(shop.network, threshold)
+    return [{"scenario": name, **summary(drive(policy, envs, seeds, shop.driven))} for name, envs in shop.envs.items()]
 
 
-def _keep_best(
-    course: Course, folder: Path, network: StGraphNet, envs: Sequence[CADEnv], log: "_Log", advance: Advance
-) -> None:
+def _keep_best(shop: _Workshop) -> None:
     """Validate the best checkpoints at every threshold on further seeds, and save the winner as the model."""
-    optimiser = torch.optim.Adam(network.parameters())
+    course = shop.course
     seeds = range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation)
-    finals = []
-    for row in sorted(log.rows, key=_worth_of)[:FINALISTS]:
-        load_state(_checkpoint(folder, int(row["round"]), int(row["segment"])), network, optimiser)
+    finals: list[dict[str, Any]] = []
+    for turn, segment in shop.log.best(FINALISTS):
+        load_state(_checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser)
         for threshold in course.thresholds:
-            found = _validated(network, threshold, envs, seeds, advance)
-            finals.append({"round": row["round"], "segment": row["segment"], "threshold": threshold, **found})
-    best = min(finals, key=_worth_of)
-    load_state(_checkpoint(folder, int(best["round"]), int(best["segment"])), network, optimiser)
+            found = _validated(shop, threshold, seeds)
+            finals.append({"round": turn, "segment": segment, "threshold": threshold, "validation": found})
+    best = min(finals, key=lambda final: worth(final["validation"]))
+    load_state(_checkpoint(shop.folder, best["round"], best["segment"]), shop.network, shop.optimiser)
     notes = {"course": json.loads(json.dumps(asdict(course))), "chosen": best, "finalists": finals}
-    save_model(folder, SavedModel(network, best["threshold"], notes))
-
-
-def _worth_of(row: Mapping[str, Any]) -> Worth:
-    return Worth(row["failures"], row["mean_time"])
+    save_model(shop.folder, SavedModel(shop.network, best["threshold"], notes))
 
 
 def _checkpoint(folder: Path, turn: int, segment: int) -> Path:
     return folder / "checkpoints" / f"round_{turn}_segment_{segment}.safetensors"
-
-
-class _Log:
-    """metrics.csv: one row a checkpoint. A row torn by a kill is dropped, and its segment validated again."""
-
-    COLUMNS = (
-        "round", "segment", "loss", "threshold", "episodes", "collisions", "timeouts", "failures", "mean_time",
-        "needless_brakes",
-    )  # fmt: skip
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.rows: list[dict[str, float]] = list(self._kept())
-        self._write()
-
-    def has(self, turn: int, segment: int) -> bool:
-        return any((row["round"], row["segment"]) == (turn, segment) for row in self.rows)
-
-    def add(self, turn: int, segment: int, loss: float, threshold: float, found: dict[str, Any]) -> None:
-        self.rows = [row for row in self.rows if (row["round"], row["segment"]) != (turn, segment)]
-        self.rows.append({"round": turn, "segment": segment, "loss": loss, "threshold": threshold, **found})
-        self._write()
-
-    def _kept(self) -> Iterator[dict[str, float]]:
-        if not self.path.exists():
-            return
-        with self.path.open(newline="") as file:
-            for row in csv.DictReader(file):
-                try:
-                    yield {name: json.loads(row[name]) for name in self.COLUMNS}
-                except (KeyError, TypeError, ValueError):
-                    continue
-
-    def _write(self) -> None:
-        text = io.StringIO(newline="")
-        writer = csv.DictWriter(text, self.COLUMNS)
-        writer.writeheader()
-        writer.writerows(self.rows)
-        replace_file(self.path, text.getvalue().encode())

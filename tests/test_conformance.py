@@ -19,9 +19,11 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import cad_env
+from cad_env.scenarios import SCENARIOS
 from cad_env.types import BRAKE, GO
 
 ID = "CADLeftTurn-v0"
+EVERY_ID = pytest.mark.parametrize("env_id", [scenario.gym_id for scenario in SCENARIOS.values()])
 
 # What Stable-Baselines3 advises for its own networks: an image would be uint8, and a 2-D box is unusual to it.
 SHAPE_ADVICE = (
@@ -40,14 +42,23 @@ def strictly() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("strictly")
-@pytest.mark.parametrize("options", [{}, {"radio": "none"}, {"radio": "cv2x", "depth": 3, "sensor": {"noise": 1.0}}])
-def test_gymnasium_s_checker_finds_nothing(options: dict):
-    check_env(gym.make(ID, **options).unwrapped)
+@EVERY_ID
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"traffic": "none"},
+        {"radio": "none"},
+        {"radio": "cv2x", "depth": 3, "sensor": {"noise": 1.0}, "traffic": "dense", "penetration": 0.7},
+    ],
+)
+def test_gymnasium_s_checker_finds_nothing(env_id: str, options: dict):
+    check_env(gym.make(env_id, **options).unwrapped)
 
 
+@EVERY_ID
 @pytest.mark.usefixtures("strictly")
-def test_gymnasium_s_passive_checker_finds_nothing_in_a_whole_episode():
-    env = gym.make(ID, render_mode="rgb_array")
+def test_gymnasium_s_passive_checker_finds_nothing_in_a_whole_episode(env_id: str):
+    env = gym.make(env_id, render_mode="rgb_array")
     env.reset(seed=0)
     ended = False
     while not ended:
@@ -57,17 +68,19 @@ def test_gymnasium_s_passive_checker_finds_nothing_in_a_whole_episode():
     env.close()
 
 
+@EVERY_ID
 @pytest.mark.usefixtures("strictly")
-def test_stable_baselines_checker_finds_nothing_in_flat_observations():
-    sb3_check_env(FlattenObservation(gym.make(ID)), warn=True)
+def test_stable_baselines_checker_finds_nothing_in_flat_observations(env_id: str):
+    sb3_check_env(FlattenObservation(gym.make(env_id)), warn=True)
 
 
+@EVERY_ID
 @pytest.mark.usefixtures("strictly")
-def test_stable_baselines_checker_has_only_its_advice_on_shapes():
+def test_stable_baselines_checker_has_only_its_advice_on_shapes(env_id: str):
     for advice in SHAPE_ADVICE:
         warnings.filterwarnings("ignore", message=advice)
-    sb3_check_env(gym.make(ID), warn=True)
-    sb3_check_env(gym.make(ID).unwrapped, warn=True)
+    sb3_check_env(gym.make(env_id), warn=True)
+    sb3_check_env(gym.make(env_id).unwrapped, warn=True)
 
 
 def test_ppo_learns_on_the_natural_observations():

@@ -19,7 +19,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def frames(folder: Path) -> Frames:
-    return record(folder, CADEnv, Expert(), range(6), lambda n: None)
+    return record(folder, [CADEnv()], Expert(), range(6), lambda n: None)
 
 
 def test_a_batch_is_the_observations_that_were_recorded(frames: Frames) -> None:
@@ -64,13 +64,13 @@ def test_a_second_recording_reads_the_shards_of_the_first(
         raise AssertionError("an episode was driven again")
 
     monkeypatch.setattr(demonstrations, "_drive", drive)
-    again = record(folder, CADEnv, Expert(), range(6), lambda n: None)
+    again = record(folder, [CADEnv()], Expert(), range(6), lambda n: None)
     np.testing.assert_array_equal(again.position, frames.position)
 
 
 def test_shards_of_other_episodes_are_refused(folder: Path, frames: Frames) -> None:
     with pytest.raises(ShardError, match="holds other episodes"):
-        record(folder, CADEnv, Expert(), range(5), lambda n: None)
+        record(folder, [CADEnv()], Expert(), range(5), lambda n: None)
 
 
 @pytest.mark.parametrize("damage", ["truncated", "altered", "empty", "text", "missing"])

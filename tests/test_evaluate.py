@@ -2,11 +2,13 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +16,24 @@ import pytest
 import torch
 
 import evaluate
-from baselines.scoring import score
+from baselines.scoring import identity, score
 from baselines.settings import Settings
+from baselines.store import Store
+from cad_env.scenarios import SCENARIOS
 from cad_env.score import Record, parse_record
 from policies.saved import SavedModel, save_model
 from policies.stgraph import StGraphNet
 
 torch.set_num_threads(1)
 
-SOME = ["--contender", "always-go", "planner-shared", "--episodes", "3"]
-LONG = ["--contender", "always-brake", "--episodes", "75"]
+SOME = ["--scenario", "left_turn", "--contender", "always-go", "planner-shared", "--episodes", "3"]
+LONG = ["--scenario", "left_turn", "--contender", "always-brake", "--episodes", "75"]
 
 Refused = Callable[..., str]
 
 
 def run(folder: Path, *arguments: str) -> int:
-    return evaluate.main([*arguments, "--out", str(folder)])
+    return evaluate.main([*arguments, "--no-report", "--out", str(folder)])
 
 
 def records(folder: Path) -> list[Record]:
@@ -37,7 +41,7 @@ def records(folder: Path) -> list[Record]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -113,12 +117,12 @@ def test_scores_and_table_come_with_intervals(copy: Path, capsys: pytest.Capture
 
 
 def test_another_program_gets_the_same_rows(done: Path, tmp_path: Path) -> None:
-    rows = score(Settings(contender=("always-go", "planner-shared"), episodes=3, out=tmp_path))
+    rows = score(Settings(scenario=("left_turn",), contender=("always-go", "planner-shared"), episodes=3, out=tmp_path))
     assert [vars(row) for row in rows] == json.loads((done / "scores.json").read_text())
 
 
 def test_two_processes_give_the_files_of_one(models: Path, tmp_path: Path) -> None:
-    some = ["--contender", "stgraph", "expert", "--episodes", "26", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--contender", "stgraph", "expert", "--episodes", "26", "--policy", str(models)]
     assert run(tmp_path / "one", *some) == 0
     assert run(tmp_path / "two", *some, "--jobs", "2") == 0
     assert files(tmp_path / "one") == files(tmp_path / "two")
@@ -126,13 +130,29 @@ def test_two_processes_give_the_files_of_one(models: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("kind", "hazard"), [("yes", True), ("no", False)])
 def test_a_hazard_can_be_forced(kind: str, hazard: bool, tmp_path: Path) -> None:
-    assert run(tmp_path, "--contender", "always-go", "--episodes", "6", "--hazard", kind) == 0
+    assert (
+        run(tmp_path, "--scenario", "left_turn", "--contender", "always-go", "--episodes", "6", "--hazard", kind) == 0
+    )
     assert {record.hazard for record in records(tmp_path)} == {hazard}
     assert {row["hazard"] for row in json.loads((tmp_path / "scores.json").read_text())} == {"all", kind}
 
 
 def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
-    assert run(tmp_path, "--contender", "planner-own", "planner-shared", "--episodes", "4", "--radio", "none") == 0
+    assert (
+        run(
+            tmp_path,
+            "--scenario",
+            "left_turn",
+            "--contender",
+            "planner-own",
+            "planner-shared",
+            "--episodes",
+            "4",
+            "--radio",
+            "none",
+        )
+        == 0
+    )
     own, shared = records(tmp_path)[:4], records(tmp_path)[4:]
     assert [vars(record) | {"contender": ""} for record in own] == [
         vars(record) | {"contender": ""} for record in shared
@@ -140,17 +160,56 @@ def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
 
 
 def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
-    assert run(tmp_path, "--contender", "planner-shared", "--episodes", "3", "--loss", "0.9", "--depth", "1") == 0
+    assert (
+        run(
+            tmp_path,
+            "--scenario",
+            "left_turn",
+            "--contender",
+            "planner-shared",
+            "--episodes",
+            "3",
+            "--loss",
+            "0.9",
+            "--depth",
+            "1",
+        )
+        == 0
+    )
     before = [record for record in records(done) if record.contender == "planner-shared"]
     for few, many in zip(before, records(tmp_path), strict=True):
         assert few.messages_lost < many.messages_lost
         assert many.bytes_per_message_mean < few.bytes_per_message_mean  # type: ignore[operator]
 
 
-def test_results_go_to_the_scenarios_own_folder_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_go_to_their_own_folder_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert evaluate.main(["--contender", "always-go", "--episodes", "1"]) == 0
-    assert (tmp_path / "results" / "left_turn" / "scores.json").exists()
+    assert evaluate.main(["--scenario", "left_turn", "--contender", "always-go", "--episodes", "1"]) == 0
+    assert (tmp_path / "results" / "scores.json").exists()
+
+
+def test_every_scenario_meets_every_contender_on_the_same_seeds_in_a_table_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(tmp_path, "--contender", "always-go", "planner-own", "--episodes", "2") == 0
+    assert [(record.scenario, record.contender, record.seed) for record in records(tmp_path)] == [
+        (scene, name, 1_000_000 + k) for scene in SCENARIOS for name in ("always-go", "planner-own") for k in range(2)
+    ]
+    tables = capsys.readouterr().out.split("\n\n")
+    assert [part.splitlines()[2].split()[0] for part in tables] == list(SCENARIOS)
+
+
+def test_scenarios_come_in_the_order_they_are_asked_for() -> None:
+    backwards = tuple(reversed(SCENARIOS))
+    assert Settings(scenario=backwards).scenarios() == backwards
+    assert Settings().scenarios() == tuple(SCENARIOS)
+
+
+def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
+    asked = Settings(scenario=("left_turn",), contender=("expert",), loss=0.3, jobs=2, policy=Path("a b"), shard="1/2")
+    words = shlex.split(asked.command())
+    assert words[:2] == ["python", "evaluate.py"]
+    assert evaluate.parsed(Settings, words[2:]) == replace(asked, jobs=1, shard=None)
 
 
 @pytest.mark.parametrize("cut", [1, 30, 400, 800])
@@ -205,6 +264,11 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
     ("arguments", "reason"),
     [
         (["--scenario", "moon"], "unknown scenario 'moon': choose among left_turn"),
+        (["--scenario", "left_turn", "left_turn"], "scenario must name at least one, each once"),
+        (["--scenario"], "scenario must name at least one"),
+        (["--shard", "0/2"], "shard must be i/n with i from 1 to n, such as 2/8, got '0/2'"),
+        (["--shard", "3/2"], "shard must be i/n"),
+        (["--shard", "half"], "shard must be i/n"),
         (["--contender", "nobody"], "unknown contender 'nobody': choose among always-go"),
         (["--contender", "expert", "expert"], "each once"),
         (["--contender"], "at least one"),
@@ -221,6 +285,10 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
         (["--sensor-noise", "inf"], "sensor noise"),
         (["--gnss-noise", "-1"], "sensor gnss_noise"),
         (["--depth", "16"], "depth must be a number from 1 to 15, got 16"),
+        (["--gif", "-1"], "gif must be a number from 0"),
+        (["--gif", "1", "--shard", "1/2"], "gif is for a whole run"),
+        (["--traffic", "heavy"], "traffic must be one of none, light, dense, got 'heavy'"),
+        (["--penetration", "1.5"], "penetration must be a number from 0 to 1, got 1.5"),
         (["--hazard", "maybe"], "hazard must be one of all, yes, no, got 'maybe'"),
         (["--contender", "stgraph", "--policy", "nowhere"], f"no folder {Path('nowhere', 'shared')}"),
     ],
@@ -251,7 +319,8 @@ def test_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_help_waits_for_no_heavy_import() -> None:
-    code = "import evaluate, sys; sys.exit(bool({'torch', 'highway_env', 'scipy.stats'} & set(sys.modules)))"
+    heavy = ("torch", "numba", "highway_env", "matplotlib", "scipy.stats")
+    code = f"import evaluate, sys; sys.exit(bool(set({heavy}) & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -260,7 +329,8 @@ def test_help_waits_for_no_heavy_import() -> None:
     [
         (["--episodes", "4"], "episodes"), (["--first-seed", "5"], "first_seed"), (["--radio", "cv2x"], "radio"),
         (["--loss", "0.2"], "radio"), (["--hazard", "yes"], "hazard"), (["--depth", "2"], "depth"),
-        (["--sensor-noise", "0.3"], "sensor_noise"), (["--contender", "expert"], "contender"),
+        (["--sensor-noise", "0.3"], "sensor_noise"), (["--traffic", "none"], "traffic"),
+        (["--penetration", "0.5"], "penetration"), (["--contender", "expert"], "contender"),
     ],
 )  # fmt: skip
 def test_other_settings_in_the_same_folder_are_refused_by_name(
@@ -271,7 +341,7 @@ def test_other_settings_in_the_same_folder_are_refused_by_name(
 
 
 def test_another_model_in_the_same_folder_is_refused(refused: Refused, models: Path, tmp_path: Path) -> None:
-    some = ["--contender", "stgraph", "--episodes", "1", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--contender", "stgraph", "--episodes", "1", "--policy", str(models)]
     assert run(tmp_path / "out", *some) == 0
     save_model(models / "shared", SavedModel(StGraphNet(seed=2), 0.5))
     assert "another model of stgraph (" in refused(tmp_path / "out", *some)
@@ -300,7 +370,7 @@ def test_a_damaged_model_is_refused(
     damage: Callable[[Path], Any], refused: Refused, models: Path, tmp_path: Path
 ) -> None:
     damage(models / "own")
-    some = ["--contender", "always-go", "stgraph-own", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--contender", "always-go", "stgraph-own", "--policy", str(models)]
     assert str(models / "own") in refused(tmp_path / "out", *some)
 
 
@@ -328,3 +398,11 @@ def test_damaged_results_are_refused_and_kept(name: str, text: str, reason: str,
 def test_episodes_of_unknown_settings_are_refused(refused: Refused, copy: Path) -> None:
     (copy / "settings.json").unlink()
     assert "has episodes but no settings.json" in refused(copy, *SOME)
+
+
+def test_a_run_of_other_scenarios_is_another_run(refused: Refused, tmp_path: Path) -> None:
+    settings = Settings(scenario=("left_turn",), contender=("expert",), episodes=1)
+    other = identity(settings) | {"scenario": ["left_turn", "overtaking"]}
+    Store(tmp_path, other)
+    some = ["--scenario", "left_turn", "--contender", "expert", "--episodes", "1"]
+    assert 'another scenario (["left_turn", "overtaking"], now ["left_turn"])' in refused(tmp_path, *some)

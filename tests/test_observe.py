@@ -11,6 +11,7 @@ from cad_env.parallel import parallel_env
 from cad_env.pipeline.observe import HORIZON, View, as_observation, empty_view, observation_space, observe_ego
 from cad_env.pipeline.observe import observe_tracks as observe
 from cad_env.rows import empty_rows
+from cad_env.scenarios import SCENARIOS
 from cad_env.types import FRAMES, MERGED_ROWS, OBSERVED_TRACKS, ROUTE_POINTS, ROUTE_SPACING, TRUCK, Command
 
 SPACE = observation_space()
@@ -125,7 +126,9 @@ EXTREMES = [
     {},
     {"sensor": {"noise": 10.0, "miss": 0.5, "gnss_noise": 50.0, "gnss_yaw_noise": 3.0, "range": 500.0}},
     {"radio": {"rate": 2e6, "loss": 0.5, "delay": 1.4}, "depth": 1},
-    {"radio": "none", "traffic": {"ego_speed": (20.0, 20.0), "collaborators": (4, 4), "others": (10, 10)}},
+    {"radio": "none", "traffic": "dense", "ranges": {"ego_speed": (20.0, 20.0), "collaborators": (4, 4)}},
+    {"scenario": "overtaking", "traffic": "dense"},
+    {"scenario": "street_crossing", "penetration": 1.0},
 ]
 
 
@@ -146,7 +149,9 @@ def test_every_observation_of_an_episode_is_inside_its_space(options: dict):
 
 @pytest.mark.parametrize("options", EXTREMES)
 def test_every_observation_of_every_agent_is_inside_its_space(options: dict):
-    env, policy = parallel_env(**options), Twitchy()
+    arguments = dict(options)
+    name = arguments.pop("scenario", "left_turn")
+    env, policy = parallel_env(SCENARIOS[name].gym_id, **arguments), Twitchy()
     observations, _ = env.reset(seed=1)
     while env.agents:
         assert all(SPACE.contains(observation) for observation in observations.values())

@@ -7,7 +7,18 @@ import pytest
 from scenes import ARM, EAST, NORTH, WEST, cross, world_of
 
 from cad_env.env import CADEnv
-from cad_env.planner import Expert, Planner, PlannerConfig, Truth, contact_ahead, decide, fit_motion
+from cad_env.planner import (
+    Expert,
+    Planner,
+    PlannerConfig,
+    Truth,
+    contact_ahead,
+    decide,
+    fit_motion,
+    lane_heading,
+    oncoming_stretch,
+    stopping_distance,
+)
 from cad_env.rollout import rollout
 from cad_env.scenarios.scene import Placement
 from cad_env.types import BRAKE, FRAMES, GO, ROUTE_SPACING, STEP
@@ -17,6 +28,8 @@ AHEAD = np.stack([np.arange(60) * ROUTE_SPACING, np.zeros(60)], axis=-1)
 EGO = np.array([10.0, 10.0, 4.8, 1.9])  # speed, wanted speed, length, width
 RULE = PlannerConfig(look_ahead=4.0, ahead=0.7, behind=2.0, margin=0.5).rule
 
+NOWHERE = (math.inf, math.inf)  # no stretch of the way is in an oncoming lane
+
 
 def crossing(seconds: float, speed: float = 10.0, at: float = 20.0) -> np.ndarray:
     """A car that drives towards +y and crosses the ego's way `at` m ahead in so many seconds."""
@@ -24,33 +37,33 @@ def crossing(seconds: float, speed: float = 10.0, at: float = 20.0) -> np.ndarra
 
 
 def test_who_would_be_hit_is_braked_for():
-    assert decide(AHEAD, EGO, crossing(2.0), RULE) == BRAKE
+    assert decide(AHEAD, EGO, crossing(2.0), NOWHERE, RULE) == BRAKE
 
 
 @pytest.mark.parametrize("seconds", [-3.0, 6.0])
 def test_who_passes_well_before_or_after_is_not(seconds: float):
-    assert decide(AHEAD, EGO, crossing(seconds), RULE) == GO
+    assert decide(AHEAD, EGO, crossing(seconds), NOWHERE, RULE) == GO
 
 
 def test_nobody_on_the_road_is_a_reason_to_go():
-    assert decide(AHEAD, EGO, np.zeros((0, 6)), RULE) == GO
+    assert decide(AHEAD, EGO, np.zeros((0, 6)), NOWHERE, RULE) == GO
 
 
 def test_it_does_not_slip_in_just_behind_a_passing_vehicle():
     # Without the extra length behind it the way would be free: it is 13 m past when the ego comes.
     passing = crossing(0.7)
     assert not contact_ahead(AHEAD, EGO, passing, False, 4.0, 0.0, 0.0, 0.5)
-    assert decide(AHEAD, EGO, passing, RULE) == BRAKE
+    assert decide(AHEAD, EGO, passing, NOWHERE, RULE) == BRAKE
 
 
 def test_who_follows_or_leads_in_the_same_stream_is_the_driver_s_business():
     same = np.array([[15.0, 0.0, 0.1, 3.0, 4.8, 1.9], [-8.0, 0.0, 0.0, 20.0, 4.8, 1.9]])
-    assert decide(AHEAD, EGO, same, RULE) == GO
+    assert decide(AHEAD, EGO, same, NOWHERE, RULE) == GO
 
 
 def test_who_stands_across_the_way_does_not_deadlock_it():
     # A waiting vehicle is not on a collision course; the way around or behind it is the driver model's work.
-    assert decide(AHEAD, EGO, np.array([[20.0, 0.0, math.pi / 2, 0.5, 4.8, 1.9]]), RULE) == GO
+    assert decide(AHEAD, EGO, np.array([[20.0, 0.0, math.pi / 2, 0.5, 4.8, 1.9]]), NOWHERE, RULE) == GO
 
 
 def test_once_waiting_would_leave_it_in_the_way_it_goes():
@@ -59,7 +72,47 @@ def test_once_waiting_would_leave_it_in_the_way_it_goes():
     assert contact_ahead(AHEAD, EGO, later, False, 4.0, RULE.ahead, RULE.behind, RULE.margin)
     assert contact_ahead(AHEAD, EGO, later, True, 4.0, 0.0, 0.0, RULE.margin)
     assert not contact_ahead(AHEAD, EGO, later, False, 4.0, 0.0, 0.0, RULE.margin)
-    assert decide(AHEAD, EGO, later, RULE) == GO
+    assert decide(AHEAD, EGO, later, NOWHERE, RULE) == GO
+
+
+def oncoming(distance: float, speed: float = 15.0) -> np.ndarray:
+    """A car that comes towards the ego on its way, so far ahead."""
+    return np.array([[distance, 0.0, math.pi, speed, 4.8, 1.9]])
+
+
+def test_before_an_oncoming_lane_it_looks_as_far_as_it_needs_to_be_through():
+    far = oncoming(120.0)  # they would meet after 4.8 s, beyond the 4 s that it looks ahead otherwise
+    assert decide(AHEAD, EGO, far, NOWHERE, RULE) == GO
+    assert decide(AHEAD, EGO, far, (13.0, 60.0), RULE) == BRAKE
+    assert decide(AHEAD, EGO, far, (13.0, 30.0), RULE) == GO  # it is back in its lane before they meet
+
+
+def test_it_does_not_wait_before_it_is_at_the_gate():
+    assert decide(AHEAD, EGO, oncoming(120.0), (RULE.gate + 1.0, 60.0), RULE) == GO
+
+
+def test_too_late_to_wait_only_a_true_contact_counts():
+    # Out there at 10 m/s it is through 45 m after 4.5 s, when the other is 10 m further on: close, but no contact.
+    close, stretch = oncoming(127.0), (stopping_distance(10.0) - 1.0, 45.0)
+    assert contact_ahead(AHEAD, EGO, close, False, 4.5, RULE.ahead, RULE.behind, RULE.margin)
+    assert decide(AHEAD, EGO, close, stretch, RULE) == GO
+    assert decide(AHEAD, EGO, close, (stopping_distance(10.0) + 1.0, 45.0), RULE) == BRAKE
+
+
+def test_a_stretch_is_read_off_the_points_of_the_way():
+    flags = np.zeros(40, np.int8)
+    assert oncoming_stretch(flags, 2.0) == (math.inf, math.inf)
+    flags[5:9] = 1
+    flags[30:] = 1
+    assert oncoming_stretch(flags, 2.0) == (10.0, 18.0)
+
+
+def test_an_oncoming_vehicle_is_taken_to_keep_to_its_lane_and_any_other_as_it_heads():
+    assert abs(lane_heading(AHEAD, math.pi - 0.05)) == pytest.approx(math.pi)
+    for heading in (0.05, math.pi / 2, math.pi - 0.3):
+        assert lane_heading(AHEAD, heading) == heading
+    bend = np.cumsum([[2 * math.cos(0.1 * k), 2 * math.sin(0.1 * k)] for k in range(41)], axis=0)
+    assert lane_heading(bend, math.pi - 0.05) == math.pi - 0.05  # a bend is no lane to keep to
 
 
 def node(x: float, y: float, t: int) -> tuple[float, float]:

@@ -10,8 +10,8 @@ from scipy.stats import binomtest
 
 from cad_env.score import OUTCOMES, Record, parse_record, scorecards, table, wilson
 
-CALM = Record("left_turn", "expert", 1, False, "success", 10.0, 0, 200.0, 300, 10, 1, 2000, None)
-CRASH = replace(CALM, seed=2, hazard=True, outcome="collision", time=5.0, brakes=3, min_ttc=0.1)
+CALM = Record("left_turn", "expert", 1, False, "success", 10.0, 0, 200.0, 300, 10, 1, 2000, None, None)
+CRASH = replace(CALM, seed=2, hazard=True, outcome="collision", time=5.0, brakes=3, min_ttc=0.1, hazard_timing=-0.2)
 STUCK = replace(CALM, seed=3, outcome="timeout", time=30.0, brakes=300, bytes_total=4000, bytes_per_message_max=500)
 
 
@@ -20,7 +20,7 @@ def records() -> st.SearchStrategy[Record]:
     return st.builds(
         Record, st.just("left_turn"), st.sampled_from(["expert", "always-go"]), count, st.booleans(),
         st.sampled_from(OUTCOMES), amount, count, st.none() | amount, st.none() | count, count, count, count,
-        st.none() | amount,
+        st.none() | amount, st.none() | st.floats(-10.0, 10.0),
     )  # fmt: skip
 
 
@@ -53,6 +53,7 @@ def test_a_record_survives_its_line(record: Record) -> None:
     {"seed": -1}, {"seed": 1.5}, {"seed": True}, {"hazard": 1}, {"outcome": "crash"}, {"outcome": None},
     {"outcome": []}, {"time": -0.1}, {"time": "9"}, {"time": None}, {"brakes": None}, {"bytes_per_message_mean": "x"},
     {"bytes_per_message_max": 1.5}, {"min_ttc": -1}, {"scenario": 3}, {"contender": None}, {"messages_lost": "0"},
+    {"hazard_timing": "0"},
 ])  # fmt: skip
 def test_an_altered_record_is_refused_with_the_name_of_what_is_wrong(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=f"cannot have {next(iter(change))} ") as caught:
@@ -122,3 +123,11 @@ def test_the_table_gives_per_cents_with_interval_and_number() -> None:
     assert "33.3 [ 6.1, 79.2]" in lines[2]
     assert len(lines) == 5
     assert max(map(len, lines)) == len(lines[1])
+
+
+def test_each_scenario_has_a_table_of_its_own_with_the_same_columns() -> None:
+    elsewhere = replace(CALM, scenario="a_scenario_with_a_long_name")
+    first, second = table(scorecards([CALM, elsewhere])).split("\n\n")
+    assert first.splitlines()[:2] == second.splitlines()[:2]
+    assert first.splitlines()[2].startswith("left_turn ")
+    assert second.splitlines()[2].startswith("a_scenario_with_a_long_name ")

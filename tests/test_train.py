@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import train
+from cad_env.scenarios import SCENARIOS
 
 ROOT = Path(__file__).parents[1]
 TINY = ["--episodes", "6", "--steps", "9", "--validation", "2", "--score", "2"]
@@ -24,14 +25,14 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     out = tmp_path / "run"
     first = subprocess.Popen(command(*TINY, "--out", str(out)), stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     deadline = time.monotonic() + 300
-    while not list(out.glob("*/demonstrations/*/*.npz")) and time.monotonic() < deadline:
+    while not list(out.glob("*/demonstrations/*/*/*.npz")) and time.monotonic() < deadline:
         time.sleep(0.05)
     first.send_signal(signal.SIGINT)
     _, errors = first.communicate(timeout=120)
     assert first.returncode == 130
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
-    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("*/demonstrations/*/*.npz")}
+    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("*/demonstrations/*/*/*.npz")}
     assert kept
     second = subprocess.run(
         command(*TINY, "--out", str(out)), capture_output=True, text=True, cwd=tmp_path, timeout=900, check=False
@@ -49,6 +50,7 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["--scenario", "left_trun"], "left_trun.*left_turn"),
+        (["--scenario", "left_turn", "left_turn"], "each once.*left_turn left_turn"),
         (["--radio", "dsrk"], "dsrk.*dsrc"),
         (["--radio", "none"], "radio must be one that carries something"),
         (["--episodes", "0"], "episodes must be a number from 1"),
@@ -72,6 +74,23 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.Captu
     train.claim(settings)
     assert train.main(["--out", str(tmp_path / "run"), "--steps", "12"]) == 2
     assert "steps=9, now 12" in capsys.readouterr().err
+
+
+def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    train.claim(train.TrainSettings(out=tmp_path / "run", scenario=("left_turn",)))
+    others = tuple(name for name in SCENARIOS if name != "left_turn")
+    assert train.main(["--out", str(tmp_path / "run"), "--scenario", *others]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "scenarios=['left_turn'], now" in error
+
+
+def test_one_scenario_several_or_all_have_folders_of_their_own() -> None:
+    assert train.TrainSettings().folder() == Path("runs/all")
+    assert train.TrainSettings(scenario=("left_turn",)).folder() == Path("runs/left_turn")
+    assert train.TrainSettings().scenarios() == tuple(SCENARIOS)
+    backwards = tuple(reversed(SCENARIOS))
+    assert train.TrainSettings(scenario=backwards).scenarios() == tuple(SCENARIOS)
 
 
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

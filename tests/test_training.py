@@ -9,37 +9,44 @@ import torch
 
 from cad_env.env import CADEnv
 from cad_env.planner import Expert
+from cad_env.scenarios import SCENARIOS
 from cad_env.types import BRAKE
 from policies.cloning import Recipe, Worth, balanced, fit, load_state, save_state
 from policies.demonstrations import Frames, record
+from policies.metrics import Log
 from policies.saved import ModelError, load_model
 from policies.stgraph import StGraphNet
 from policies.training import Course, train
 
+NAMES = tuple(SCENARIOS)[:2]
 TINY = Course(
-    episodes=6, corrections=1, corrected_episodes=2, steps=8, segments=2, validation=2, final_validation=2,
-    recipe=Recipe(batch=16),
+    scenarios=NAMES, episodes=6, corrections=1, corrected_episodes=2, steps=8, segments=2, validation=1,
+    final_validation=1, recipe=Recipe(batch=16),
 )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def frames(tmp_path_factory: pytest.TempPathFactory) -> Frames:
-    return record(tmp_path_factory.mktemp("frames"), CADEnv, Expert(), range(6), lambda n: None)
+def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Frames]:
+    folder = tmp_path_factory.mktemp("frames")
+    return {name: record(folder / name, [CADEnv(scenario=name)], Expert(), range(6), lambda n: None) for name in NAMES}
 
 
-def test_a_third_of_every_batch_brakes() -> None:
-    labels = np.array([BRAKE] * 5 + [0] * 95)
-    batches = balanced(labels, 30, 0.3, np.random.default_rng(0))
+def test_every_scenario_has_its_share_of_a_batch_and_a_third_of_it_brakes() -> None:
+    labels = {"long": np.array([BRAKE] * 5 + [0] * 95), "short": np.array([0] * 8 + [BRAKE])}
+    batches = balanced(labels, 60, 0.3, np.random.default_rng(0))
     for _ in range(20):
-        assert (labels[next(batches)] == BRAKE).sum() == 9
+        for name, chosen in next(batches).items():
+            assert len(chosen) == 30
+            assert (labels[name][chosen] == BRAKE).sum() == 9
 
 
-def test_frames_of_one_kind_cannot_be_balanced() -> None:
-    with pytest.raises(ValueError, match="both kinds"):
-        next(balanced(np.zeros(10), 4, 0.5, np.random.default_rng(0)))
+def test_a_scenario_with_frames_of_one_kind_cannot_be_balanced() -> None:
+    labels = {"mixed": np.arange(10) % 2, "calm": np.zeros(10)}
+    with pytest.raises(ValueError, match="calm must hold frames of both kinds"):
+        next(balanced(labels, 4, 0.5, np.random.default_rng(0)))
 
 
-def test_the_loss_falls(frames: Frames) -> None:
+def test_the_loss_falls(frames: dict[str, Frames]) -> None:
     network = StGraphNet(seed=0)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
     rng, recipe = np.random.default_rng(0), Recipe(batch=32, learning_rate=1e-2)
@@ -54,7 +61,7 @@ def test_fewer_failures_are_worth_more_and_then_less_time() -> None:
     assert Worth(1, 10.0) < Worth(1, 20.0)
 
 
-def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: Frames, tmp_path: Path) -> None:
+def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames], tmp_path: Path) -> None:
     def weights(stop: bool) -> torch.Tensor:
         network = StGraphNet(seed=0)
         optimiser = torch.optim.Adam(network.parameters())
@@ -99,12 +106,13 @@ def test_a_course_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> Non
     assert (tmp_path / "stopped/metrics.csv").read_text() == (tmp_path / "whole/metrics.csv").read_text()
 
 
-def test_metrics_have_a_row_for_every_checkpoint_and_survive_a_torn_line(tmp_path: Path) -> None:
+def test_metrics_have_a_row_for_every_checkpoint_and_scenario_and_survive_a_torn_line(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     train(TINY, folder, lambda work: None)
     with (folder / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [(float(row["round"]), float(row["segment"])) for row in rows] == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    wanted = [(turn, segment, name) for turn in "01" for segment in "01" for name in NAMES]
+    assert [(row["round"], row["segment"], row["scenario"]) for row in rows] == wanted
     before = (folder / "metrics.csv").read_text()
     (folder / "metrics.csv").write_text(before[:-9])
     (folder / "config.json").unlink()
@@ -112,9 +120,28 @@ def test_metrics_have_a_row_for_every_checkpoint_and_survive_a_torn_line(tmp_pat
     assert (folder / "metrics.csv").read_text().count("\n") == before.count("\n")
 
 
-@pytest.mark.parametrize(("name", "value"), [("episodes", 0), ("steps", 1), ("corrections", -1), ("radio", "dsrk")])
+def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then(tmp_path: Path) -> None:
+    def row(scenario: str, failures: int, time: float) -> dict[str, object]:
+        found = {name: 0 for name in Log.COLUMNS if name not in ("round", "segment")}
+        return {**found, "scenario": scenario, "failures": failures, "mean_time": time}
+
+    log = Log(tmp_path / "metrics.csv")
+    log.replace(0, 0, [row("one", 0, 9.0), row("two", 5, 9.0)])
+    log.replace(0, 1, [row("one", 2, 9.0), row("two", 2, 12.0)])
+    log.replace(0, 2, [row("one", 4, 9.0), row("two", 0, 11.0)])
+    assert log.best(2) == [(0, 2), (0, 1)]
+    assert Log(tmp_path / "metrics.csv").best(3) == [(0, 2), (0, 1), (0, 0)]
+    log.replace(0, 0, [row("one", 0, 9.0), row("two", 0, 9.0)])
+    assert log.best(1) == [(0, 0)]
+    assert len(log.rows) == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("episodes", 0), ("steps", 1), ("corrections", -1), ("radio", "dsrk"), ("scenarios", ())],
+)
 def test_an_impossible_course_is_refused_with_the_name_and_the_value(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"{name}.*{value}"):
+    with pytest.raises(ValueError, match=f"{name}.*{value or ''}"):
         Course(**{name: value})  # type: ignore[arg-type]
 
 

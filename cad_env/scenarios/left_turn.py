@@ -86,7 +86,9 @@ def background(junction: Map, cast: Cast, rng: np.random.Generator) -> Groups:
         queue(rng, junction.route("east_left"), LINE, 2),
         queue(rng, junction.route("east_through"), LINE, 3),
         queue_behind(rng, truck, 2),
-        stream(rng, junction.route("south_through"), ego.progress + rng.uniform(-10.0, 50.0), rng.uniform(8.0, 12.0), 3),
+        stream(
+            rng, junction.route("south_through"), ego.progress + rng.uniform(-10.0, 50.0), rng.uniform(8.0, 12.0), 3
+        ),
         stream(rng, ego.route, ego.progress - rng.uniform(12.0, 25.0), ego.target_speed, 2, (14.0, 25.0)),
         stream(rng, ego.route, LINE + ARC + rng.uniform(30.0, 50.0), leaving, 2, (20.0, 25.0), bystander=True),
         stream(rng, junction.route("north_through"), ARM + rng.uniform(60.0, 90.0), gone, 2, (18.0, 20.0), True),

@@ -17,7 +17,7 @@ from cad_env.world.state import OFF, SCRIPTED, STANDING
 
 LANE = 3.5  # m wide; the ego drives east on y = -LANE / 2
 WEST, EAST = -300.0, 520.0  # m, the ends of the road; the rear of the truck is at 0
-SWING = 20.0  # m of road to change the lane on
+SWING = 22.0  # m of road to change the lane on
 LEAVE = -4.5 - SWING  # m, where the ego begins to swing out: it is in the other lane 2 m before it reaches the truck
 RETURN = 18.5  # m, where it begins to swing back: 2 m past the longest truck
 SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
@@ -67,8 +67,8 @@ def _plan(name: str, commands: tuple[Command, ...], oncoming: tuple[float, float
 class OvertakingRanges(Ranges):
     """Every range the cast is drawn from; docs/scenarios.md says where each comes from."""
 
-    ego_speed: Range = span(7.5, 9.5, within=(3.0, 15.0))  # m/s it wants to drive at
-    ego_start: Range = span(50.0, 65.0, within=(30.0, 150.0))  # m before it would swing out
+    ego_speed: Range = span(8.5, 10.5, within=(3.0, 15.0))  # m/s it wants to drive at
+    ego_start: Range = span(35.0, 50.0, within=(30.0, 150.0))  # m before it would swing out
     collider_speed: Range = span(13.0, 18.0, within=(1.0, 25.0))  # m/s of the oncoming vehicle
     hazard_timing: Range = span(-0.8, 0.8, within=(-2.0, 2.0))  # s it is beside the truck after an unbraked ego
     early: Range = span(7.0, 8.5, within=(0.0, 30.0))  # s before the ego, when it passes clearly before
@@ -83,7 +83,7 @@ class OvertakingRanges(Ranges):
 
 
 def cast(road: Map, ranges: OvertakingRanges, rng: np.random.Generator, hazard: bool) -> Cast:
-    """The ego, the truck, the oncoming vehicle, and two that see the oncoming lane: one far ahead, one coming by."""
+    """The ego, the truck, the oncoming vehicle, and two that see past the truck: one parked, one coming by."""
     target = rng.uniform(*ranges.ego_speed)
     start = LEAVE - WEST - rng.uniform(*ranges.ego_start)
     ego = Placement(road.route("overtake"), start, target * rng.uniform(SLOW_START, 1.0), target)
@@ -93,13 +93,15 @@ def cast(road: Map, ranges: OvertakingRanges, rng: np.random.Generator, hazard: 
         rng.uniform(*ranges.truck_offset),
     )  # fmt: skip
     hidden, first, timing = _hidden(road, ranges, rng, hazard, ego, 0.5 * length)
-    pace = target + rng.uniform(0.5, 2.5)
-    ahead = Placement(road.route("east"), rng.uniform(45.0, 75.0) - WEST, pace, pace, **car_body(rng))
+    parked = Placement(
+        road.route("east"), rng.uniform(50.0, 75.0) - WEST, 0.0, 5.0, STANDING, offset=-rng.uniform(2.9, 3.2),
+        **car_body(rng),
+    )  # fmt: skip
     pace = hidden.target_speed + rng.uniform(0.5, 2.0)
-    by_now = max(EAST - rng.uniform(-10.0, 15.0), first + rng.uniform(15.0, 25.0))
+    by_now = max(EAST + rng.uniform(5.0, 20.0), first + rng.uniform(15.0, 25.0))
     passing = Placement(road.route("oncoming"), by_now, pace, pace, **car_body(rng))
     goal = float(road.routes.length[ego.route]) - (EAST - RETURN - SWING) + 25.0
-    return Cast((ego, truck, hidden, ahead, passing), (OCCLUDER, 3), goal, timing)
+    return Cast((ego, truck, hidden, parked, passing), (OCCLUDER, 3), goal, timing)
 
 
 def _hidden(
@@ -123,12 +125,13 @@ def _hidden(
 
 def background(road: Map, cast: Cast, rng: np.random.Generator) -> Groups:
     """Who drives behind the ego and far ahead of it, who has come by already, and who is a long way off."""
-    ego, hidden, ahead, passing = (cast.vehicles[row] for row in (EGO, HIDDEN, 3, 4))
+    ego, hidden, passing = (cast.vehicles[row] for row in (EGO, HIDDEN, 4))
+    leaving, passed = ego.target_speed + rng.uniform(1.0, 3.0), 1.05 * passing.target_speed + 1.0
     east, oncoming = road.route("east"), road.route("oncoming")
     return [
-        stream(rng, east, ego.progress - rng.uniform(14.0, 25.0), ego.target_speed, 4, (14.0, 25.0)),
-        stream(rng, east, ahead.progress + 130.0, ahead.target_speed + 2.0, 4, (25.0, 32.0), bystander=True),
-        stream(rng, oncoming, passing.progress + 150.0, passing.target_speed + 1.0, 5, (25.0, 30.0), bystander=True),
+        stream(rng, east, ego.progress - rng.uniform(14.0, 25.0), ego.target_speed, 5, (14.0, 25.0)),
+        stream(rng, east, -WEST + rng.uniform(130.0, 150.0), leaving, 4, (25.0, 32.0), bystander=True),
+        stream(rng, oncoming, passing.progress + 190.0, passed, 4, (40.0, 45.0), bystander=True),
         stream(rng, oncoming, rng.uniform(60.0, 80.0), min(hidden.target_speed, 13.0), 3, (20.0, 28.0), bystander=True),
     ]
 
@@ -139,7 +142,11 @@ OVERTAKING = Scenario(
     ranges=OvertakingRanges,
     network=two_way_network,
     plans=(
-        _plan("overtake", (_FOLLOW, _OUT, _OUT, _FOLLOW, _IN, _FOLLOW), (LEAVE + ACROSS - WEST, RETURN + SWING - ACROSS - WEST)),
+        _plan(
+            "overtake",
+            (_FOLLOW, _OUT, _OUT, _FOLLOW, _IN, _FOLLOW),
+            (LEAVE + ACROSS - WEST, RETURN + SWING - ACROSS - WEST),
+        ),
         _plan("east", (_FOLLOW,) * 4),
         _plan("oncoming", (_FOLLOW,)),
     ),

@@ -64,19 +64,21 @@ def connected_rows(
     placements: Sequence[Placement], witnesses: Sequence[int], collaborators: tuple[int, int], traffic: Traffic,
     rng: np.random.Generator,
 ) -> tuple[int, ...]:  # fmt: skip
-    """The ego, a witness and others: as many as `collaborators` says, or with a penetration its lower end and chance.
+    """The ego, a witness and others: as many as `collaborators` says, or with a penetration as chance has it.
 
-    The hidden vehicle never is: it would give itself away.
+    With a penetration the lower end of `collaborators` is the least number, and more of it only adds vehicles. The
+    hidden vehicle is never connected: it would give itself away.
     """
     witness = int(rng.choice(np.array(witnesses)))
-    order = [witness, *(row for row in rng.permutation(len(placements)).tolist() if row != witness)]
-    useful = [row for row in order if row not in (EGO, HIDDEN) and not placements[row].bystander]
+    order = [witness, *(row for row in rng.permutation(len(placements)).tolist() if row not in (witness, EGO, HIDDEN))]
+    useful = [row for row in order if not placements[row].bystander]
     wanted = int(rng.integers(*collaborators, endpoint=True))
-    chance = rng.random(len(placements))
     if traffic.penetration is None:
         return (EGO, *sorted(useful[:wanted]))
-    by_chance = [row for row in order if row not in (EGO, HIDDEN) and chance[row] < traffic.penetration]
-    return (EGO, *sorted({*useful[: collaborators[0]], *by_chance}))
+    least = useful[: collaborators[0]]
+    hits = int((rng.random(len(order)) < traffic.penetration).sum())
+    rest = [row for row in order if row not in least]
+    return (EGO, *sorted([*least, *rest][: max(hits, len(least))]))
 
 
 def place(scene: Scene, routes: Routes) -> World:

@@ -20,6 +20,7 @@ HARDEST_BRAKING = 8.0  # m/s2, dry asphalt
 COMMANDED_BRAKING = 6.0  # m/s2, what BRAKE asks for
 SIDE_MARGIN = 0.3  # m to the side that a driver wants free
 LOOK_AHEAD = 100.0  # m
+SHORT_OF_LINE = 0.5  # m before its line, where a late braker comes to stand
 SLOW = 1.0  # m/s, below which a late braker creeps to its line as anybody does
 
 
@@ -37,13 +38,23 @@ def gap_to_leader(world: World, routes: Routes, i: int) -> tuple[float, float]:
         ahead = routes.projection[own, world.route[j], sample, 0] + beyond - world.progress[i]
         if not 0.0 < ahead < LOOK_AHEAD:  # also refuses NaN: j's route does not run along i's there
             continue
-        side = abs(routes.projection[own, world.route[j], sample, 1])
+        side = abs(routes.projection[own, world.route[j], sample, 1] + beside_route(world, routes, j, sample))
         if side > 0.5 * (world.size[i, 1] + world.size[j, 1]) + SIDE_MARGIN:
             continue
         free = ahead - 0.5 * (world.size[i, 0] + world.size[j, 0])
         if free < gap:
             gap, leader_speed = free, world.speed[j]
     return gap, leader_speed
+
+
+@compiled
+def beside_route(world: World, routes: Routes, j: int, sample: int) -> float:
+    """m to the left of its route that vehicle j is, by the sample of the route nearest to it."""
+    route = world.route[j]
+    heading = routes.heading[route, sample]
+    dx = world.position[j, 0] - routes.point[route, sample, 0]
+    dy = world.position[j, 1] - routes.point[route, sample, 1]
+    return float(dy * math.cos(heading) - dx * math.sin(heading))
 
 
 @compiled
@@ -79,7 +90,7 @@ def acceleration_of(world: World, routes: Routes, i: int) -> float:
 def _acceleration_to_line(world: World, i: int, to_line: float) -> float:
     """What a red light asks of vehicle i, whose front is `to_line` m before it, m/s2; inf for nothing yet."""
     speed, late = world.speed[i], world.late_braking[i]
-    needed = 0.5 * speed * speed / max(to_line, 0.1)
+    needed = 0.5 * speed * speed / max(to_line - SHORT_OF_LINE, 0.1)
     if late > 0.0 and speed > SLOW:
         # Braking by no more than is needed keeps what is needed from falling, so whoever has begun goes on.
         return -needed if needed >= late else math.inf

@@ -1,0 +1,45 @@
+"""Tasks on ray: the cores of this machine, or the cluster that RAY_ADDRESS names."""
+
+import os
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import BrokenExecutor
+from importlib.util import find_spec
+from typing import TypeVar
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def check_ray() -> None:
+    """ValueError, one line, where ray is not installed."""
+    if find_spec("ray") is None:
+        raise ValueError("backend ray needs ray, which is not installed: pip install 'cad-env[ray]'")
+
+
+def on_ray(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> Generator[Result, None, None]:
+    """The results as they come; whatever ends the caller ends ray too, if it was started here.
+
+    BrokenExecutor if a worker dies time and again; ray repeats a task whose worker has died. `jobs` is how many cores
+    to use of this machine; on a cluster every task takes one.
+    """
+    import ray
+    from ray.exceptions import RayError, RayTaskError
+
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    started_here = not ray.is_initialized()
+    if started_here:
+        cores = None if os.environ.get("RAY_ADDRESS") else jobs
+        ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="error")
+    try:
+        remote = ray.remote(lambda task: work(task))  # it takes nothing but plain functions
+        waiting = [remote.remote(task) for task in tasks]
+        while waiting:
+            (done,), waiting = ray.wait(waiting)
+            yield ray.get(done)
+    except RayTaskError:
+        raise  # the work itself failed
+    except RayError as error:
+        raise BrokenExecutor(str(error)) from error
+    finally:
+        if started_here:
+            ray.shutdown()

@@ -1,0 +1,46 @@
+"""Every episode of a scoring run, in the order of its table: scenario, contender, seed."""
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+CHUNK = 25  # episodes that an interruption can cost a process
+
+Key = tuple[str, str, int]  # scenario, contender, seed: what tells an episode from all others
+
+
+class Task(NamedTuple):
+    """Episodes that are driven in one go."""
+
+    scenario: str
+    contender: str
+    seeds: Sequence[int]
+
+    def episodes(self) -> list[Key]:
+        """Its episodes."""
+        return [(self.scenario, self.contender, seed) for seed in self.seeds]
+
+
+def grid(scenarios: Iterable[str], contenders: Sequence[str], seeds: range, shard: str | None = None) -> list[Task]:
+    """All tasks, or those of a shard `i/n`: every n-th, from the i-th on.
+
+    >>> [task.seeds for task in grid(["left_turn"], ["expert"], range(60), "2/2")]
+    [range(25, 50)]
+    """
+    number, count = (1, 1) if shard is None else shard_of(shard)
+    tasks = [
+        Task(scenario, contender, seeds[start : start + CHUNK])
+        for scenario in scenarios
+        for contender in contenders
+        for start in range(0, len(seeds), CHUNK)
+    ]
+    return tasks[number - 1 :: count]
+
+
+def shard_of(text: str) -> tuple[int, int]:
+    """The numbers of `i/n`; ValueError unless 1 <= i <= n <= 100000."""
+    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text, re.ASCII)
+    number, count = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= number <= count <= 100_000:
+        raise ValueError(f"shard must be i/n with i from 1 to n, such as 2/8, got {text!r}")
+    return number, count

@@ -1,0 +1,57 @@
+"""Drive every connected vehicle of a scene at once, and print how the fleets did.
+
+python examples/fleet.py --scenario left_turn --episodes 100
+
+Three fleets on the same seeds: every vehicle drives on as its driver would (`always-go`), every vehicle decides by the
+rules on what it sees and is sent (`planner-shared`), and every vehicle is driven by the network that ships with the
+package (`stgraph`), which was trained to drive the ego.
+"""
+
+from dataclasses import dataclass
+
+import tyro
+from tqdm import tqdm
+
+from baselines.contenders import contender_named, shipped_models
+from cad_env.fleet_score import fleet_scores, fleet_table
+from cad_env.fleets import FleetEpisode, rollout_fleet
+from cad_env.parallel import CADParallelEnv
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Score fleets in closed loop."""
+
+    scenario: str = "left_turn"
+    contender: tuple[str, ...] = ("always-go", "planner-shared", "stgraph")
+    """who drives every vehicle, by the names of evaluate.py"""
+    episodes: int = 100
+    first_seed: int = 1_000_000
+    traffic: str = "light"
+    """none, light or dense"""
+    collaborators: int = 3
+    """connected vehicles besides the ego"""
+
+
+def driven(settings: Settings, name: str) -> list[FleetEpisode]:
+    """The episodes of one contender."""
+    contender = contender_named(name)
+    policy = contender.make_policy(shipped_models(settings.scenario))
+    env = CADParallelEnv(
+        scenario=settings.scenario, radio="dsrc" if contender.shares else "none", traffic=settings.traffic,
+        ranges={"collaborators": (settings.collaborators, settings.collaborators)},
+    )  # fmt: skip
+    seeds = range(settings.first_seed, settings.first_seed + settings.episodes)
+    return [rollout_fleet(env, policy, seed, name) for seed in tqdm(seeds, desc=name, disable=None)]
+
+
+def main(settings: Settings) -> str:
+    """The table, printed."""
+    episodes = [episode for name in settings.contender for episode in driven(settings, name)]
+    table = fleet_table(fleet_scores(episodes))
+    print(table)
+    return table
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))

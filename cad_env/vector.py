@@ -51,6 +51,8 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         names = [scenario] if isinstance(scenario, str) else list(scenario)
+        if not names:
+            raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]
         self.ensemble = Ensemble([setups[place % len(setups)] for place in range(num_envs)])
         self.single_observation_space: spaces.Dict = observation_space()

@@ -14,7 +14,7 @@ import train
 from cad_env.scenarios import SCENARIOS
 
 ROOT = Path(__file__).parents[1]
-TINY = ["--episodes", "6", "--steps", "9", "--validation", "2", "--score", "2"]
+TINY = ["--episodes", "6", "--corrections", "0", "--steps", "9", "--validation", "2", "--score", "2"]
 
 
 def command(*arguments: str) -> list[str]:

@@ -19,9 +19,9 @@ from baselines.settings import HAZARDS, Settings
 from baselines.store import Store
 from baselines.workers import prefer_one_thread, workers
 from cad_env.compiled import version
-from cad_env.env import CADEnv
 from cad_env.rollout import BatchPolicy, Episode, rollouts
 from cad_env.score import Record, Scorecard, scorecards
+from cad_env.vector import CADVectorEnv
 
 ABREAST = 16  # episodes side by side, for a policy that decides in batches
 
@@ -93,7 +93,7 @@ def drive(settings: Settings, task: Task) -> list[Record]:
     contender = contender_named(task.contender)
     policy = contender.make_policy(settings.models(task.scenario))
     abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
-    envs = [CADEnv(**settings.environment(task.scenario, contender.shares)) for _ in range(abreast)]
+    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender.shares))
     episodes = rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard])
     records = {episode.seed: _record(episode) for episode in episodes}
     return [records[seed] for seed in task.seeds]

@@ -35,7 +35,12 @@ _IDS = {
 }
 for _id, _scenario in _IDS.items():
     if _id not in gym.registry:
-        gym.register(_id, entry_point="cad_env.env:CADEnv", kwargs={"scenario": _scenario})
+        gym.register(
+            _id,
+            entry_point="cad_env.env:CADEnv",
+            vector_entry_point="cad_env.vector:CADVectorEnv",
+            kwargs={"scenario": _scenario},
+        )
 
 
 def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> "CADParallelEnv":

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
@@ -22,7 +21,6 @@ from cad_env.types import BRAKE, GO, Floats, Observation
 from cad_env.views import WorldRoad
 
 RENDER_MODES = ("human", "rgb_array")
-FINAL_REWARD: Mapping[str | None, float] = MappingProxyType({SUCCESS: 1.0, COLLISION: -1.0})
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth")
 
 
@@ -103,8 +101,6 @@ class CADEnv(AbstractEnv):
             simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected
         )
         self.controlled_vehicles = [self.road.rows[0]]
-        self._progress = float(simulation.world.progress[0])
-        self._way = simulation.scene.goal - self._progress
         self._actions = np.zeros(len(simulation.agents), np.int64)
         if self.render_mode == "human":
             self.render()
@@ -128,26 +124,13 @@ class CADEnv(AbstractEnv):
         )  # fmt: skip
 
     def _reward(self, action: int) -> float:
-        progress = float(self.simulation.world.progress[0])
-        covered, self._progress = progress - self._progress, progress
-        return covered / self._way + FINAL_REWARD.get(self.simulation.outcome(), 0.0)
+        return self.simulation.reward()
 
     def _info(self, *_: Any) -> dict[str, Any]:
-        simulation = self.simulation
-        outcome = simulation.outcome()
-        asked = {"object_lists": self.object_lists()} if self.config["object_lists"] else {}
-        return {
-            "seed": simulation.seed,
-            "hazard": simulation.scene.hazard,
-            "hazard_timing": simulation.scene.timing,
-            "speed": float(simulation.world.speed[0]),
-            "crashed": outcome == COLLISION,
-            "outcome": outcome,
-            "is_success": outcome == SUCCESS,
-            "min_ttc": simulation.min_ttc,
-            **simulation.traffic_on_air(),
-            **asked,
-        }
+        info = self.simulation.info()
+        if self.config["object_lists"]:
+            info["object_lists"] = self.simulation.object_lists()
+        return info
 
     def truth(self) -> Truth:
         """The world itself: what a privileged policy is given in place of an observation."""
@@ -155,11 +138,7 @@ class CADEnv(AbstractEnv):
 
     def object_lists(self) -> list[Floats]:
         """For each connected vehicle, ego first, the (n, 3) m newest positions of the objects it tracks itself."""
-        lists = []
-        for agent in range(len(self.simulation.agents)):
-            graph = self.simulation.own_graph(agent)
-            lists.append(graph.position[1:, -1][graph.mask[1:, -1]])
-        return lists
+        return self.simulation.object_lists()
 
     def render(self) -> Any:
         """An image (H, W, 3) uint8 in mode rgb_array; a window in mode human."""

@@ -13,13 +13,22 @@ from pettingzoo import ParallelEnv
 from cad_env.drawing.framing import screen
 from cad_env.drawing.layers import LAYERS, checked_layers
 from cad_env.drawing.viewer import SceneViewer
-from cad_env.env import FINAL_REWARD, RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
+from cad_env.env import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
 from cad_env.global_state import global_state, global_state_space
 from cad_env.goals import goals
+from cad_env.live import MAX_STEPS
 from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
 from cad_env.scenarios import SCENARIOS
-from cad_env.simulation import COLLISION, MAX_STEPS, SUCCESS, TIMEOUT, Simulation, outcome_of, setup_from
+from cad_env.simulation import (
+    COLLISION,
+    FINAL_REWARD,
+    SUCCESS,
+    TIMEOUT,
+    Simulation,
+    outcome_of,
+    setup_from,
+)
 from cad_env.types import GO, Floats, Ints, Observation
 from cad_env.views import WorldRoad
 

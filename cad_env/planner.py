@@ -11,7 +11,7 @@ with it, and waits at its gate: once it is out there, braking does not help.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -71,6 +71,14 @@ class Truth:
     world: World
     routes: Routes
     row: int
+
+
+@dataclass(frozen=True)
+class Truths:
+    """The same of the egos of many scenes: the typed list of live scenes, and which of them, (n,)."""
+
+    scenes: Any
+    which: Ints
 
 
 @compiled
@@ -189,6 +197,14 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
 
 
 @compiled
+def decide_on_truths(scenes: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
+    """Write the expert's decisions for the egos of the live scenes `which` (n,) to chosen (n,)."""
+    for k in range(which.shape[0]):
+        scene = scenes[which[k]]
+        chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)
+
+
+@compiled
 def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
                    oncoming: Ints, rule: Rule) -> int:  # fmt: skip
     """The planner's decision on the fields of an observation."""
@@ -205,6 +221,14 @@ def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego
             n += 1
     stretch = oncoming_stretch(oncoming, ROUTE_SPACING)
     return decide(way, ego.astype(np.float64), others[:n], stretch, rule)
+
+
+@compiled
+def decide_on_views(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
+                    oncoming: Ints, rule: Rule, chosen: Ints) -> None:  # fmt: skip
+    """Write the planner's decisions on observations, stacked along a first axis, to chosen (n,)."""
+    for k in range(chosen.shape[0]):
+        chosen[k] = decide_on_view(tracks[k], mask[k], kind[k], odometry[k], ego[k], route[k], oncoming[k], rule)
 
 
 @compiled
@@ -293,6 +317,15 @@ class Planner:
             seen["oncoming"], self.config.rule,
         )  # fmt: skip
 
+    def act_batch(self, observations: Observation) -> Ints:
+        """GO or BRAKE, (n,), on observations stacked along a first axis."""
+        seen, chosen = observations, np.empty(len(observations["mask"]), np.int64)
+        decide_on_views(
+            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"],
+            seen["oncoming"], self.config.rule, chosen,
+        )  # fmt: skip
+        return chosen
+
 
 @dataclass
 class Expert:
@@ -307,3 +340,9 @@ class Expert:
     def act(self, observation: Truth) -> int:
         """GO or BRAKE on the truth."""
         return decide_on_truth(observation.world, observation.routes, observation.row, self.config.rule)
+
+    def act_batch(self, observations: Truths) -> Ints:
+        """GO or BRAKE, (n,), in n scenes."""
+        chosen = np.empty(len(observations.which), np.int64)
+        decide_on_truths(observations.scenes, observations.which, self.config.rule, chosen)
+        return chosen

@@ -1,14 +1,19 @@
-"""The one closed loop: environment + policy -> Episode."""
+"""The one closed loop, for one episode or many side by side: environment + policy -> Episode."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cad_env.ensemble import Ensemble
 from cad_env.env import CADEnv
+from cad_env.live import MAX_STEPS, UNDER_WAY
+from cad_env.simulation import Simulation
 from cad_env.types import BRAKE, STEP, Floats, Ints, Observation, Policy
+from cad_env.vector import CADVectorEnv
 
 
 @dataclass(frozen=True)
@@ -50,12 +55,13 @@ class Episode:
 class BatchPolicy(Protocol):
     """A policy without memory that can decide for many observations at once, as it would one by one."""
 
-    def act_batch(self, observations: Observation) -> Ints:
-        """Observations with a leading dimension n -> (n,) GO or BRAKE."""
+    def act_batch(self, observations: Any) -> Ints:
+        """(n,) GO or BRAKE for observations with a leading dimension n, or for the Truths of n scenes if privileged."""
 
 
-# Called before every decision with the environment, what the policy saw, and what it chose.
-Watch = Callable[[CADEnv, Any, int], None]
+# Called before every decision with the environment, or its simulation, what the policy saw, and what it chose.
+Watch = Callable[[CADEnv, Observation, int], None]
+WatchOfMany = Callable[[Simulation, Observation, int], None]
 
 
 def rollout(
@@ -68,68 +74,94 @@ def rollout(
 ) -> Episode:
     """Drive one episode to its end."""
     policy.reset(seed)
-    run = _Run(env, seed, hazard)
-    while not run.over:
-        action = policy.act(env.truth() if policy.privileged else run.observation)
+    observation, info = env.reset(seed=seed, options={"hazard": hazard})
+    log = _Log(1)
+    while info["outcome"] is None:
+        action = policy.act(env.truth() if policy.privileged else observation)
         if watch is not None:
-            watch(env, run.observation, action)
-        run.step(action)
-    return run.episode(contender)
+            watch(env, observation, action)
+        observation, _, _, _, info = env.step(action)
+        log.note(_HERE, np.array([action]), {name: np.array([info[name]]) for name in _TOLD})
+    return log.episode(0, env.simulation, contender)
 
 
 def rollouts(
-    envs: Sequence[CADEnv],
+    envs: CADVectorEnv | Sequence[CADEnv],
     policy: Policy,
     seeds: Iterable[int],
     contender: str = "",
     hazard: bool | None = None,
-    watch: Watch | None = None,
+    watch: WatchOfMany | None = None,
 ) -> Iterator[Episode]:
-    """Drive an episode per seed, several at a time if the policy decides in batches; episodes come as they end.
+    """Drive an episode per seed, as many at a time as there are scenes in the vector environment, yielded as they end.
 
-    Every episode is the same as `rollout` gives, whatever the number of environments.
+    Every episode is the same as `rollout` gives, whatever the number of scenes; a policy that does not decide in
+    batches drives one at a time. Of a list of single environments only the settings count.
     """
-    if not isinstance(policy, BatchPolicy):
-        for seed in seeds:
-            yield rollout(envs[0], policy, seed, contender, hazard, watch)
-        return
-    waiting = iter(seeds)
-    runs = [_Run(env, seed, hazard) for env, seed in zip(envs, waiting, strict=False)]
-    while runs:
-        seen = {name: np.stack([run.observation[name] for run in runs]) for name in runs[0].observation}
-        for run, action in zip(runs, policy.act_batch(seen), strict=True):
-            if watch is not None:
-                watch(run.env, run.observation, int(action))
-            run.step(int(action))
-        for k, run in enumerate(runs):
-            if run.over:
-                yield run.episode(contender)
-                following = next(waiting, None)
-                if following is not None:
-                    runs[k] = _Run(run.env, following, hazard)
-        runs = [run for run in runs if not run.over]
+    if isinstance(envs, CADVectorEnv):
+        ensemble = envs.ensemble
+    else:
+        ensemble = Ensemble([env.simulation.setup for env in envs])
+    waiting, log = iter(seeds), _Log(len(ensemble))
+    free = range(len(ensemble) if isinstance(policy, BatchPolicy) else 1)
+    going: list[int] = []
+    while True:
+        for place, seed in zip(free, waiting, strict=False):
+            policy.reset(seed)
+            ensemble.start(place, seed, hazard)
+            going.append(place)
+        if not going:
+            return
+        which = np.array(going)
+        actions = _decided(policy, ensemble, which)
+        if watch is not None:
+            for place, action in zip(going, actions.tolist(), strict=True):
+                watch(ensemble.simulations[place], ensemble.observation(place), action)
+        ensemble.step(which, actions)
+        log.note(which, actions, {name: ensemble.told(name)[which] for name in _TOLD})
+        free = which[ensemble.outcomes[which] != UNDER_WAY].tolist()
+        for place in free:
+            going.remove(place)
+            yield log.episode(place, ensemble.simulations[place], contender)
 
 
-class _Run:
-    """An episode under way."""
+def _decided(policy: Policy, ensemble: Ensemble, which: Ints) -> Ints:
+    """What the policy decides, (n,), in the scenes `which` (n,)."""
+    if isinstance(policy, BatchPolicy):
+        seen = {name: part[which] for name, part in ensemble.observations.items()}
+        return policy.act_batch(ensemble.truths(which) if policy.privileged else seen)
+    place = int(which[0])
+    return np.array(
+        [policy.act(ensemble.simulations[place].truth() if policy.privileged else ensemble.observation(place))]
+    )
 
-    def __init__(self, env: CADEnv, seed: int, hazard: bool | None) -> None:
-        self.env, self.seed = env, seed
-        self.observation, self.info = env.reset(seed=seed, options={"hazard": hazard})
-        self.over = False
-        self.rows: list[tuple[int, float, int, int, int, int]] = []
 
-    def step(self, action: int) -> None:
-        self.observation, _, terminated, truncated, self.info = self.env.step(action)
-        info = self.info
-        told = (info[name] for name in ("bytes_sent", "messages_sent", "largest_message", "messages_lost"))
-        self.rows.append((action, info["speed"], *told))
-        self.over = terminated or truncated
+_HERE = np.zeros(1, np.int64)
+_TOLD = ("speed", "bytes_sent", "messages_sent", "largest_message", "messages_lost")
 
-    def episode(self, contender: str) -> Episode:
-        action, speed, sent, messages, largest, lost = (np.array(column) for column in zip(*self.rows, strict=True))
+
+class _Log:
+    """What was decided and told in the episodes under way, one a scene."""
+
+    def __init__(self, scenes: int) -> None:
+        self._length = np.zeros(scenes, np.int64)
+        self._action = np.zeros((scenes, MAX_STEPS), np.int8)
+        self._told = {name: np.zeros((scenes, MAX_STEPS), float if name == "speed" else np.int64) for name in _TOLD}
+
+    def note(self, which: Ints, actions: Ints, told: Mapping[str, NDArray[Any]]) -> None:
+        """Add a step of the scenes `which` (n,)."""
+        at = which, self._length[which]
+        self._action[at] = actions
+        for name, value in told.items():
+            self._told[name][at] = value
+        self._length[which] += 1
+
+    def episode(self, place: int, simulation: Simulation, contender: str) -> Episode:
+        """The episode that ended in a scene, whose next one may begin."""
+        count, self._length[place] = int(self._length[place]), 0
+        info = simulation.info()
         return Episode(
-            self.env.simulation.scenario.name, contender, self.seed, bool(self.info["hazard"]), self.info["outcome"],
-            action.astype(np.int8), speed, sent, messages, largest, lost, float(self.info["min_ttc"]),
-            self.info["hazard_timing"],
+            simulation.scenario.name, contender, info["seed"], info["hazard"], info["outcome"],
+            self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_timing=info["hazard_timing"],
+            **{name: part[place, :count].copy() for name, part in self._told.items()},
         )  # fmt: skip

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cad_env.compiled import compiled
-from cad_env.types import FRAMES, ROWS, Graph, Rows
+from cad_env.compiled import compiled, inlined
+from cad_env.types import FRAMES, ROWS, Floats, Graph, Rows
 
 
 def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
@@ -14,25 +14,33 @@ def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
     )  # fmt: skip
 
 
+@inlined
+def flat_positions(rows: Rows) -> Floats:
+    """The positions as (R, T * 3): one plain loop over them moves many numbers at a time."""
+    return rows.position.reshape(rows.position.shape[0], FRAMES * 3)
+
+
 @compiled
 def slide(rows: Rows) -> None:
     """One frame later: every node moves one column towards the past, and rows without nodes go."""
+    flat = flat_positions(rows)
     kept = 0
     for i in range(rows.used[0]):
         alive = False
         for t in range(FRAMES - 1):
+            alive |= rows.mask[i, t + 1]
             rows.mask[kept, t] = rows.mask[i, t + 1]
-            alive = alive or rows.mask[i, t + 1]
-            for axis in range(3):
-                rows.position[kept, t, axis] = rows.position[i, t + 1, axis]
         rows.mask[kept, FRAMES - 1] = False
+        if not alive:
+            continue
+        for k in range(3 * (FRAMES - 1)):
+            flat[kept, k] = flat[i, k + 3]
         rows.track[kept], rows.kind[kept] = rows.track[i], rows.kind[i]
-        if alive:
-            kept += 1
+        kept += 1
     rows.used[0] = kept
 
 
-@compiled
+@inlined
 def row_of(rows: Rows, track: int) -> int:
     """The row of a track id; a new empty row if it is unknown; -1 if the graph is full."""
     for i in range(rows.used[0]):

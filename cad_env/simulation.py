@@ -7,6 +7,7 @@ out what it shows.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,22 +15,23 @@ import numpy as np
 from cad_env.chance import stream_key
 from cad_env.compiled import announce_compilation
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
-from cad_env.pipeline.observe import as_observation
-from cad_env.pipeline.radio import ACCEPTED, REASONS, fate, link_of
+from cad_env.live import FINAL_REWARDS, Board, LiveScene, play, verdict
+from cad_env.pipeline.observe import as_observation, empty_view
+from cad_env.pipeline.radio import REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
-from cad_env.pipeline.step import Fleet, new_fleet, run
+from cad_env.pipeline.step import Fleet, new_fleet
 from cad_env.planner import Truth
 from cad_env.rows import as_graph
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
-from cad_env.types import FRAMES, STEP, Graph, Ints, Observation
-from cad_env.world.clearance import time_to_contact
+from cad_env.types import FRAMES, STEP, Floats, Graph, Ints, Observation
 from cad_env.world.state import World
-from cad_env.world.step import advance
 
-MAX_STEPS = 300  # decisions: 30 s
 SUCCESS, COLLISION, TIMEOUT = "success", "collision", "timeout"
+OUTCOMES = (None, SUCCESS, COLLISION, TIMEOUT)  # by the numbers of `cad_env.live`
+FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOMES, FINAL_REWARDS, strict=True)))
+REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,9 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
 
 
 class Simulation:
-    """The state of one episode, and what happens in a decision step."""
+    """The state of one episode, and what happens in a decision step; it has a place on a board, alone or not."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, board: Board | None = None, place: int = 0) -> None:
         self.setup = setup
         self.scenario = scenario_named(setup.scenario)
         self.map = self.scenario.map
@@ -88,32 +90,47 @@ class Simulation:
         self.traffic = Traffic(setup.traffic, setup.penetration)
         self._sensor = sensing(setup.sensor)
         self._link = link_of(setup.radio)
+        self._board = board or Board(1)
+        self._place, self._which = place, np.array([place])
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
-        """Begin the episode of a seed. `receivers`: how many of the connected, in order, merge and observe."""
-        announce_compilation("step.run")
-        self.seed, self.steps = seed, 0
+        """Begin the episode of a seed. `receivers`: how many of the connected, in order, observe and decide."""
+        announce_compilation("live.play")
+        self.seed = seed
         self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
         self.world: World = place(self.scene, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
+        vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
+        views = self._board.views_at(self._place) if count == 1 else empty_view(count)
+        self.fleet: Fleet = new_fleet(self.agents, vehicles, count, self._link)._replace(views=views)
         self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
-        self._scratch = np.zeros(len(self.world.speed))
-        count = len(self.agents) if receivers is None else receivers
-        self.fleet: Fleet = new_fleet(self.agents, len(self.world.speed), count, self._link)
-        self.min_ttc = math.inf
+        goal, told = self.scene.goal, self._board.told_at(self._place)
+        told.min_ttc[0], told.progress[0] = math.inf, self.world.progress[0]
+        self._live = LiveScene(
+            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys,
+            np.zeros(1, np.int64), np.zeros(len(self.agents), np.int64), float(goal),
+            float(goal - self.world.progress[0]), told, np.zeros(vehicles),
+        )  # fmt: skip
+        self._board.put(self._place, self._live)
         self._perceive()
 
     def step(self, actions: Ints) -> None:
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
-        advance(self.world, self.map.routes, self.agents, actions, self._scratch)
-        self.steps += 1
-        self._perceive()
+        self._live.actions[:] = actions
+        play(self._board.scenes, self._which, self._live.actions, True)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_board"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy has a board of its own, whatever board the original has its place on."""
+        self.__dict__.update(state)
+        self._board, self._place, self._which = Board(1), 0, np.zeros(1, np.int64)
+        if "_live" in state:
+            self._board.put(0, self._live)
 
     def _perceive(self) -> None:
-        run(
-            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys, self.steps
-        )  # fmt: skip
-        self.min_ttc = min(self.min_ttc, float(time_to_contact(self.world, 0)))
+        play(self._board.scenes, self._which, self._live.actions, False)
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on."""
@@ -127,29 +144,53 @@ class Simulation:
 
     def outcome(self) -> str | None:
         """success, collision, timeout, or None while the episode of the ego goes on."""
-        struck, arrived = self.world.struck[0] >= 0, self.world.progress[0] >= self.scene.goal
-        return outcome_of(struck, arrived, self.steps >= MAX_STEPS)
+        return OUTCOMES[self._live.told.outcome.item()]
+
+    def reward(self) -> float:
+        """Of the ego in the newest step: the share of its way that it covered, +1 on arrival, -1 on a collision."""
+        return self._live.told.reward.item()
 
     def truth(self, agent: int = 0) -> Truth:
         """The world itself, for a privileged policy."""
         return Truth(self.world, self.map.routes, int(self.agents[agent]))
 
     @property
+    def steps(self) -> int:
+        """Decisions since the start."""
+        return int(self._live.clock[0])
+
+    @property
     def time(self) -> float:
         """s since the start."""
         return self.steps * STEP
 
-    def traffic_on_air(self) -> dict[str, Any]:
-        """Bytes and losses of the newest step, over all connected vehicles; scalars for an info dict."""
-        air = self.fleet.report
+    def episode_info(self) -> dict[str, Any]:
+        """What info says of a whole episode."""
+        return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_timing": self.scene.timing}
+
+    def info(self) -> dict[str, Any]:
+        """What info says of the newest step, for the ego: plain numbers. `Ensemble.infos` says the same of many."""
+        told = self._live.told
+        outcome = OUTCOMES[told.outcome.item()]
         return {
-            "bytes_sent": int(air.sent_bytes.sum()),
-            "bytes_received": int(air.received_bytes[0]),
-            "largest_message": int(air.sent_bytes.max()),
-            "messages_sent": int((air.refusal == ACCEPTED).sum()),
-            "messages_lost": int(air.lost[0]),
-            "refused": next((REASONS[int(reason)] for reason in air.refusal if reason != ACCEPTED), None),
+            **self.episode_info(),
+            "speed": told.speed.item(),
+            "crashed": outcome == COLLISION,
+            "outcome": outcome,
+            "is_success": outcome == SUCCESS,
+            "min_ttc": told.min_ttc.item(),
+            "bytes_sent": told.bytes_sent.item(),
+            "bytes_received": told.bytes_received.item(),
+            "largest_message": told.largest_message.item(),
+            "messages_sent": told.messages_sent.item(),
+            "messages_lost": told.messages_lost.item(),
+            "refused": REFUSALS[told.refused.item()],
         }
+
+    def object_lists(self) -> list[Floats]:
+        """For each connected vehicle, ego first, the (n, 3) m newest positions of the objects it tracks itself."""
+        graphs = [self.own_graph(agent) for agent in range(len(self.agents))]
+        return [graph.position[1:, -1][graph.mask[1:, -1]] for graph in graphs]
 
     def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
         """What becomes, in this step, of the message that a sender sent to a receiver (see radio.fate), and its bytes.
@@ -171,11 +212,7 @@ class Simulation:
 
 def outcome_of(struck: bool, arrived: bool, over: bool) -> str | None:
     """How it ended for a vehicle, or None while it goes on: struck or not, at its goal or not, its time up or not."""
-    if struck:
-        return COLLISION
-    if arrived:
-        return SUCCESS
-    return TIMEOUT if over else None
+    return OUTCOMES[verdict(struck, arrived, over)]
 
 
 def _at(stack: Any, index: int) -> Any:

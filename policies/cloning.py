@@ -11,10 +11,10 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor
 
-from cad_env.env import CADEnv
 from cad_env.files import replace_file
 from cad_env.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints
+from cad_env.vector import CADVectorEnv
 from policies.demonstrations import Frames
 from policies.driver import LearnedPolicy
 from policies.fused import fused_logits
@@ -99,7 +99,7 @@ class Worth:
 
 
 def drive(
-    policy: LearnedPolicy, envs: Sequence[CADEnv], seeds: Sequence[int], advance: Callable[[int], object]
+    policy: LearnedPolicy, envs: CADVectorEnv, seeds: Sequence[int], advance: Callable[[int], object]
 ) -> list[Episode]:
     """Closed-loop episodes of a network."""
     episodes = []

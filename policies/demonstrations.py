@@ -18,7 +18,9 @@ from cad_env.env import CADEnv
 from cad_env.files import replace_file
 from cad_env.planner import Expert
 from cad_env.rollout import rollouts
+from cad_env.simulation import Simulation
 from cad_env.types import FRAMES, OBSERVED_TRACKS, Floats, Ints, Observation, Policy
+from cad_env.vector import CADVectorEnv
 
 SHARD_EPISODES = 64
 FORMAT = 1
@@ -90,7 +92,11 @@ def join(parts: Sequence[Frames]) -> Frames:
 
 
 def record(
-    folder: Path, envs: Sequence[CADEnv], driver: Policy, seeds: Sequence[int], advance: Callable[[int], object]
+    folder: Path,
+    envs: CADVectorEnv | Sequence[CADEnv],
+    driver: Policy,
+    seeds: Sequence[int],
+    advance: Callable[[int], object],
 ) -> Frames:
     """Drive an episode per seed, label every frame by the expert, and keep the shards that are already there.
 
@@ -111,20 +117,23 @@ def record(
     return join(parts)
 
 
-def _drive(envs: Sequence[CADEnv], driver: Policy, seeds: Sequence[int]) -> Frames:
+def _drive(envs: CADVectorEnv | Sequence[CADEnv], driver: Policy, seeds: Sequence[int]) -> Frames:
     expert = driver if isinstance(driver, Expert) else Expert()
     seen: list[Observation] = []
     labels: list[int] = []
     owner: list[int] = []
 
-    def watch(env: CADEnv, observation: Observation, action: int) -> None:
+    def watch(simulation: Simulation, observation: Observation, action: int) -> None:
         seen.append(observation)
-        labels.append(action if driver is expert else expert.act(env.truth()))
-        owner.append(env.simulation.seed)
+        labels.append(action if driver is expert else expert.act(simulation.truth()))
+        owner.append(simulation.seed)
 
     for _ in rollouts(envs, driver, seeds, watch=watch):
         pass
-    return frames_of(seen, labels, owner)
+    # In the order of the seeds, however many scenes were driven side by side.
+    turn = {seed: number for number, seed in enumerate(seeds)}
+    order = sorted(range(len(owner)), key=lambda frame: turn[owner[frame]])
+    return frames_of([seen[k] for k in order], [labels[k] for k in order], [owner[k] for k in order])
 
 
 def write_shard(path: Path, frames: Frames) -> None:

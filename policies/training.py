@@ -5,7 +5,7 @@ the last stage it finished. Every stage draws its chance from (seed, stage), so 
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,10 @@ import numpy as np
 import torch
 
 from cad_env.config import check_range, radio_config
-from cad_env.env import CADEnv
 from cad_env.planner import Expert
 from cad_env.scenarios import SCENARIOS, scenario_named
 from cad_env.types import Policy
+from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, drive, fit, load_state, save_state
 from policies.demonstrations import Frames, join, record
 from policies.driver import LearnedPolicy
@@ -90,7 +90,7 @@ class _Workshop:
     folder: Path
     network: StGraphNet
     optimiser: torch.optim.Adam
-    envs: Mapping[str, Sequence[CADEnv]]  # of every scenario
+    envs: Mapping[str, CADVectorEnv]  # of every scenario
     log: Log
     advance: Advance
 
@@ -109,7 +109,7 @@ def train(course: Course, folder: Path, advance: Advance) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     network = StGraphNet(course.network, seed=course.seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=course.recipe.learning_rate)
-    envs = {name: [CADEnv(scenario=name, radio=course.radio) for _ in range(SIDE_BY_SIDE)] for name in course.scenarios}
+    envs = {name: CADVectorEnv(SIDE_BY_SIDE, scenario=name, radio=course.radio) for name in course.scenarios}
     shop = _Workshop(course, folder, network, optimiser, envs, Log(folder / "metrics.csv"), advance)
     frames: dict[str, Frames] = {}
     for turn in range(course.corrections + 1):

@@ -34,6 +34,7 @@ from cad_env.scenarios.ranges import DENSITIES
 from cad_env.scenarios.scene import HIDDEN
 from cad_env.simulation import Simulation, setup_from
 from cad_env.types import BRAKE, FRAMES, GO, MERGED_ROWS, TRUCK, Rows
+from cad_env.vector import CADVectorEnv
 from cad_env.world.state import OFF, SCRIPTED
 
 seeds = st.integers(0, 2**31 - 1)
@@ -392,14 +393,15 @@ def test_law_9_side_by_side_is_as_alone():
     numbers, seen = range(100, 113), {"alone": {}, "together": {}}
 
     def watch(how: str):
-        def note(env: CADEnv, observation: dict, action: int) -> None:
+        def note(where: CADEnv | Simulation, observation: dict, action: int) -> None:
+            simulation = where if isinstance(where, Simulation) else where.simulation
             parts = b"".join(observation[name].tobytes() for name in sorted(observation))
-            seen[how].setdefault(env.simulation.seed, []).append((parts, action))
+            seen[how].setdefault(simulation.seed, []).append((parts, action))
 
         return note
 
     alone = [rollout(CADEnv(), Twitchy(), number, watch=watch("alone")) for number in numbers]
-    envs = [CADEnv() for _ in range(8)]
+    envs = CADVectorEnv(8)
     together = list(rollouts(envs, Twitchy(), numbers, watch=watch("together")))
     assert len(together) == len(alone)
     assert [episode.seed for episode in together] != list(numbers)  # they end in another order, and yet
@@ -416,7 +418,7 @@ def test_law_9_an_episode_does_not_depend_on_those_before_it():
 
 @pytest.mark.slow
 def test_law_9_holds_for_many_seeds():
-    envs = [CADEnv() for _ in range(64)]
+    envs = CADVectorEnv(64)
     together = {e.seed: facts(e) for e in rollouts(envs, Twitchy(), range(500))}
     env = CADEnv()
     assert all(facts(rollout(env, Twitchy(), seed)) == together[seed] for seed in range(500))

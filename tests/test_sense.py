@@ -10,8 +10,9 @@ from scenes import boxes
 
 from cad_env.chance import stream_key
 from cad_env.config import SensorConfig
-from cad_env.pipeline.sense import CENTRE_HEIGHT, MOUNT, can_see, detect, fix_pose, sensing
+from cad_env.pipeline.sense import CENTRE_HEIGHT, MOUNT, can_see, detect, fix_pose, outline, sensing
 from cad_env.types import CAR, TRUCK
+from cad_env.world.geometry import box_hides
 from cad_env.world.state import OFF, World
 
 KEY = stream_key(0, "sense")
@@ -20,6 +21,12 @@ PERFECT = SensorConfig(noise=0.0, miss=0.0)
 
 def seen(world: World, config: SensorConfig = PERFECT, step: int = 0, observer: int = 0) -> set[tuple[float, ...]]:
     return set(map(tuple, detect(world, observer, config, KEY, step).position))
+
+
+def sees(world: World, observer: int, target: int, reach: float = 80.0) -> bool:
+    outlines, near = np.zeros((len(world.speed), 3)), np.zeros(len(world.speed), np.int64)
+    outline(world, outlines)
+    return can_see(world, outlines, observer, target, reach, near)
 
 
 def test_truck_hides_the_car_behind_it():
@@ -37,14 +44,14 @@ def test_without_the_truck_the_car_is_seen():
 def test_a_corner_that_shows_is_enough():
     # The centre is hidden, and so is the near flank; one corner is in the open.
     world = boxes((0, 0, 0), (20, 0, 0, 4.0, 2.5), (40, 3.0, 0))
-    assert can_see(world, 0, 2, 80.0)
+    assert sees(world, 0, 2)
     world.position[2, 1] = 1.0
-    assert not can_see(world, 0, 2, 80.0)
+    assert not sees(world, 0, 2)
 
 
 def test_nobody_hides_behind_its_own_body():
     world = boxes((0, 0, 0, 14.0, 2.5), (-30, 0, 0))
-    assert can_see(world, 0, 1, 80.0)
+    assert sees(world, 0, 1)
 
 
 def test_the_range_is_to_the_nearest_of_five_points():
@@ -53,7 +60,7 @@ def test_the_range_is_to_the_nearest_of_five_points():
     nearest = 80.0 * math.cos(math.asin(0.95 / 80.0))  # a rear corner is 0.95 m to the side
     for beyond, visible in ((-0.01, True), (0.01, False)):
         world.position[1] = sensor_x + nearest + 2.4 + beyond, 0.0
-        assert can_see(world, 0, 1, 80.0) is visible
+        assert sees(world, 0, 1) is visible
         assert bool(seen(world)) is visible
 
 
@@ -174,3 +181,28 @@ def test_an_occluder_does_take_detections_away():
     world, with_occluder = boxes((0, 0, 0), (40, 0, 0)), boxes((0, 0, 0), (40, 0, 0), (20, 0, 1.57, 14.0, 2.6))
     assert len(seen(world)) == 1
     assert [place[0] for place in seen(with_occluder)] == [20.0]
+
+
+spots = st.tuples(
+    st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(-4.0, 4.0), st.floats(1.0, 14.0), st.floats(0.5, 3.0)
+)
+
+
+@settings(max_examples=300)
+@given(st.lists(spots, min_size=3, max_size=9))
+def test_a_line_of_sight_is_free_if_no_box_at_all_is_in_it(placed):
+    # `can_see` asks only the boxes near a line; here every one is asked.
+    world = boxes(*placed)
+    x, y, heading, length, _ = placed[0]
+    eye = x + MOUNT * length * math.cos(heading), y + MOUNT * length * math.sin(heading)
+    for target, (tx, ty, turn, long, wide) in enumerate(placed[1:], start=1):
+        others = [box for row, box in enumerate(placed) if row not in (0, target)]
+        cos, sin = math.cos(turn), math.sin(turn)
+        sides = ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))
+        points = [(tx + a * long * cos - b * wide * sin, ty + a * long * sin + b * wide * cos) for a, b in sides]
+        free = [
+            not any(box_hides(*eye, *point, bx, by, math.cos(h), math.sin(h), n, m) for bx, by, h, n, m in others)
+            for point in points
+            if math.dist(eye, point) <= 30.0
+        ]
+        assert sees(world, 0, target, 30.0) == any(free)

@@ -10,17 +10,19 @@ import math
 import numpy as np
 
 from cad_env.assignment import assign
-from cad_env.compiled import compiled
-from cad_env.rows import row_of
+from cad_env.compiled import compiled, inlined
+from cad_env.rows import flat_positions, row_of
 from cad_env.types import FRAMES, Floats, Rows
+from cad_env.world.geometry import within
 
 GATE = 2.5  # m; closer than two vehicles can be, wider than two trackers disagree
 EGO_RADIUS = 2.0  # m around itself in which the ego takes no node for another vehicle (the paper's rule)
 
 
-@compiled
+@inlined
 def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
     """Take the newest `depth` frames of a message, `age` frames old, into the window kept of its sender."""
+    into, said = flat_positions(kept), flat_positions(message)
     newest = FRAMES - 1 - age
     oldest = max(newest - depth + 1, 0)
     for i in range(kept.used[0]):  # the message is the sender's whole word on the frames it covers
@@ -33,15 +35,14 @@ def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
         kept.kind[i] = message.kind[m]
         for t in range(oldest, newest + 1):
             kept.mask[i, t] = message.mask[m, t + age]
-            for axis in range(3):
-                kept.position[i, t, axis] = message.position[m, t + age, axis]
+        for k in range(3 * oldest, 3 * (newest + 1)):  # one plain loop is copied many numbers at a time
+            into[i, k] = said[m, k + 3 * age]
 
 
 @compiled
 def start_merge(merged: Rows, weight: Floats) -> None:
-    """Empty the merged graph. weight (M, T): how many vehicles saw a node."""
+    """Empty the merged graph. weight (M, T): how many vehicles saw a node, of the rows in use."""
     merged.used[0] = 0
-    weight[:] = 0.0
 
 
 @compiled
@@ -70,10 +71,11 @@ def take_in(merged: Rows, weight: Floats, rows: Rows, first: int, trail: Floats)
             merged.used[0] += 1
             merged.track[g], merged.kind[g] = g, rows.kind[i]
             merged.mask[g] = False
+            weight[g] = 0.0
         _fuse(merged, weight, g, rows, i, trail)
 
 
-@compiled
+@inlined
 def _disagreement(merged: Rows, weight: Floats, g: int, rows: Rows, i: int) -> float:
     """Root mean square distance in the plane over the frames both hold, m; inf if there is none."""
     total, common = 0.0, 0
@@ -89,23 +91,26 @@ def _disagreement(merged: Rows, weight: Floats, g: int, rows: Rows, i: int) -> f
     return math.sqrt(total / common) if common > 0 else math.inf
 
 
-@compiled
+@inlined
 def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Floats) -> None:
     for t in range(FRAMES):
-        if not rows.mask[i, t] or _is_ego(rows.position[i, t], trail[t]):
+        if not rows.mask[i, t] or _is_ego(rows, i, t, trail):
             continue
-        share = 1.0 / (weight[g, t] + 1.0)
-        for axis in range(3):
-            before = merged.position[g, t, axis] if weight[g, t] > 0.0 else 0.0
-            merged.position[g, t, axis] = before + share * (rows.position[i, t, axis] - before)
+        if weight[g, t] == 0.0:
+            for axis in range(3):
+                merged.position[g, t, axis] = 0.0 + rows.position[i, t, axis]  # -0.0 becomes 0.0, as in any other mean
+        else:
+            share = 1.0 / (weight[g, t] + 1.0)
+            for axis in range(3):
+                before = merged.position[g, t, axis]
+                merged.position[g, t, axis] = before + share * (rows.position[i, t, axis] - before)
         weight[g, t] += 1.0
         merged.mask[g, t] = True
 
 
-@compiled
-def _is_ego(position: Floats, pose: Floats) -> bool:
-    dx, dy = abs(position[0] - pose[0]), abs(position[1] - pose[1])
-    return dx <= EGO_RADIUS and dy <= EGO_RADIUS and math.hypot(dx, dy) <= EGO_RADIUS  # most need no square root
+@inlined
+def _is_ego(rows: Rows, i: int, t: int, trail: Floats) -> bool:
+    return within(rows.position[i, t, 0] - trail[t, 0], rows.position[i, t, 1] - trail[t, 1], EGO_RADIUS)
 
 
 @compiled
@@ -115,7 +120,7 @@ def finish_merge(merged: Rows, trail: Floats) -> None:
     for g in range(merged.used[0]):
         alive = False
         for t in range(FRAMES):
-            if merged.mask[g, t] and _is_ego(merged.position[g, t], trail[t]):
+            if merged.mask[g, t] and _is_ego(merged, g, t, trail):
                 merged.mask[g, t] = False
             alive = alive or merged.mask[g, t]
         if not alive:

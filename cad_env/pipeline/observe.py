@@ -99,6 +99,7 @@ def observe_tracks(view: View, merged: Rows, trail: Floats) -> None:
     view.mask[:] = 0
     view.kind[:] = 0
     shown = min(count, OBSERVED_TRACKS)
+    row = np.empty(shown, np.int64)
     for k in range(shown):
         g = 0
         for other in range(1, count):  # ties go to the lower row, so the order is well defined
@@ -106,10 +107,13 @@ def observe_tracks(view: View, merged: Rows, trail: Floats) -> None:
                 g = other
         distance[g] = math.inf
         view.kind[k] = merged.kind[g]
-        for t in range(FRAMES):
+        row[k] = g
+    for t in range(FRAMES):
+        cos, sin = math.cos(trail[t, 2]), math.sin(trail[t, 2])
+        for k in range(shown):
+            g = row[k]
             if not merged.mask[g, t]:
                 continue
-            cos, sin = math.cos(trail[t, 2]), math.sin(trail[t, 2])
             dx, dy = merged.position[g, t, 0] - trail[t, 0], merged.position[g, t, 1] - trail[t, 1]
             view.mask[k, t] = 1
             view.tracks[k, t, 0] = _clip(dx * cos + dy * sin)

@@ -6,15 +6,16 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.chance import normals_and_uniform
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, inlined
 from cad_env.config import SensorConfig
 from cad_env.types import ROWS, STEP, TRUCK, Bools, Detections, Floats, Ints
-from cad_env.world.geometry import box_hides
+from cad_env.world.geometry import box_hides, within
 from cad_env.world.state import OFF, World
 
 # A roof sensor near the front: it sees along a truck's flank instead of its own roof.
 MOUNT = 0.4  # of the length, ahead of the centre
 CENTRE_HEIGHT = (0.75, 1.75)  # m above the road of a car's and a truck's centre
+SURELY = 0.01  # m, by which a box must be too far from a line of sight to be left out unasked
 _GNSS = 1 << 20  # counter that no target row reaches: the vehicle's own fix
 
 
@@ -37,32 +38,63 @@ def sensing(config: SensorConfig) -> Sensing:
 
 
 @compiled
-def can_see(world: World, observer: int, target: int, reach: float) -> bool:
-    """True if the observer's sensor has a free line, within reach, to one of five points of the target."""
-    position, heading, size = world.position, world.heading, world.size
+def outline(world: World, outlines: Floats) -> None:
+    """Write of every vehicle what all lines of sight ask for: outlines (N, 3), cos and sin of its heading, radius m."""
+    for k in range(outlines.shape[0]):
+        outlines[k, 0], outlines[k, 1] = math.cos(world.heading[k]), math.sin(world.heading[k])
+        outlines[k, 2] = 0.5 * math.hypot(world.size[k, 0], world.size[k, 1])
+
+
+@inlined
+def can_see(world: World, outlines: Floats, observer: int, target: int, reach: float, near: Ints) -> bool:
+    """True if the observer's sensor has a free line, within reach, to one of five points of the target.
+
+    outlines (N, 3) as from `outline`; near (N,) is scratch.
+    """
+    position, size = world.position, world.size
     ahead = MOUNT * size[observer, 0]
-    x0 = position[observer, 0] + ahead * math.cos(heading[observer])
-    y0 = position[observer, 1] + ahead * math.sin(heading[observer])
-    cos, sin = math.cos(heading[target]), math.sin(heading[target])
+    x0 = position[observer, 0] + ahead * outlines[observer, 0]
+    y0 = position[observer, 1] + ahead * outlines[observer, 1]
+    cos, sin = outlines[target, 0], outlines[target, 1]
+    count = _near_line(world, outlines, observer, target, x0, y0, near)
     for forward, left in ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
         along, across = forward * size[target, 0], left * size[target, 1]
         x1 = position[target, 0] + along * cos - across * sin
         y1 = position[target, 1] + along * sin + across * cos
         if (x1 - x0) ** 2 + (y1 - y0) ** 2 > reach * reach:
             continue
-        if not _hidden(world, observer, target, x0, y0, x1, y1):
+        if not _hidden(world, outlines, near, count, x0, y0, x1, y1):
             return True
     return False
 
 
-@compiled
-def _hidden(world: World, observer: int, target: int, x0: float, y0: float, x1: float, y1: float) -> bool:
-    for k in range(world.heading.shape[0]):
-        if k in (observer, target) or world.driver[k] == OFF:
+@inlined
+def _near_line(world: World, outlines: Floats, observer: int, target: int, x0: float, y0: float, near: Ints) -> int:
+    """Write to `near` the rows that could hide any part of the target from (x0, y0), and answer how many.
+
+    No other box comes as near to the line to the target's centre as its own radius and the target's.
+    """
+    dx, dy = world.position[target, 0] - x0, world.position[target, 1] - y0
+    square, count = dx * dx + dy * dy, 0
+    for k in range(outlines.shape[0]):
+        px, py = world.position[k, 0] - x0, world.position[k, 1] - y0
+        reach = outlines[k, 2] + outlines[target, 2] + SURELY
+        cross, along = px * dy - py * dx, px * dx + py * dy
+        if cross * cross > reach * reach * square or (along < 0.0 and px * px + py * py > reach * reach):
             continue
+        if k != observer and k != target and world.driver[k] != OFF:
+            near[count] = k
+            count += 1
+    return count
+
+
+@inlined
+def _hidden(world: World, outlines: Floats, near: Ints, count: int, x0: float, y0: float, x1: float, y1: float) -> bool:
+    for n in range(count):
+        k = near[n]
         if box_hides(
-            x0, y0, x1, y1, world.position[k, 0], world.position[k, 1],
-            world.heading[k], world.size[k, 0], world.size[k, 1],
+            x0, y0, x1, y1, world.position[k, 0], world.position[k, 1], outlines[k, 0], outlines[k, 1],
+            world.size[k, 0], world.size[k, 1],
         ):  # fmt: skip
             return True
     return False
@@ -82,11 +114,12 @@ def fix_pose(world: World, observer: int, sensor: Sensing, key: Ints, step: int,
 
 
 @compiled
-def sense(world: World, observer: int, sensor: Sensing, key: Ints, step: int, pose: Floats,
-          position: Floats, kind: Ints, visible: Bools) -> int:  # fmt: skip
+def sense(world: World, outlines: Floats, observer: int, sensor: Sensing, key: Ints, step: int, pose: Floats,
+          position: Floats, kind: Ints, visible: Bools, near: Ints) -> int:  # fmt: skip
     """Fill position (ROWS, 3) and kind (ROWS,) with what the observer detects; return how many.
 
     Detections are placed in the world by the observer's own fix `pose`, so its errors are theirs.
+    outlines (N, 3) as from `outline`; near (N,) is scratch.
     visible (N,): what had a line of sight, reported or not; for tests and drawings, never passed on.
     """
     found = 0
@@ -99,7 +132,9 @@ def sense(world: World, observer: int, sensor: Sensing, key: Ints, step: int, po
             continue
         dx = world.position[target, 0] - world.position[observer, 0]
         dy = world.position[target, 1] - world.position[observer, 1]
-        if math.hypot(dx, dy) > sensor.range + 20.0 or not can_see(world, observer, target, sensor.range):
+        if not within(dx, dy, sensor.range + 20.0):
+            continue
+        if not can_see(world, outlines, observer, target, sensor.range, near):
             continue
         visible[target] = True
         east, north, lucky = normals_and_uniform(key, step, observer, target, 0)
@@ -120,6 +155,8 @@ def detect(world: World, observer: int, config: SensorConfig, key: Ints, step: i
     sensor = sensing(config)
     position, kind = np.zeros((ROWS, 3)), np.zeros(ROWS, np.int8)
     fix_pose(world, observer, sensor, key, step, pose)
-    visible = np.zeros(len(world.heading), np.bool_)
-    found = sense(world, observer, sensor, key, step, pose, position, kind, visible)
+    count = len(world.heading)
+    visible, near, outlines = np.zeros(count, np.bool_), np.zeros(count, np.int64), np.zeros((count, 3))
+    outline(world, outlines)
+    found = sense(world, outlines, observer, sensor, key, step, pose, position, kind, visible, near)
     return Detections(step * STEP, position[:found].copy(), kind[:found].copy())

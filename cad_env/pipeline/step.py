@@ -4,20 +4,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.compiled import compiled, compiled_part
+from cad_env.compiled import compiled, inlined
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks
 from cad_env.pipeline.radio import ACCEPTED, LOST, REACHES, Air, Link, empty_air, fate, fetch, send
-from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, sense
+from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
 from cad_env.rows import empty_rows, slide
 from cad_env.types import FRAMES, MERGED_ROWS, ROWS, Bools, Bytes, Floats, Ints, Rows
 from cad_env.world.state import Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
+UNREAD = -1  # in place of a message's length
 # First rows of a graph to merge: row 0 of the own one is the own body. Of a numpy type, because numba compiles a
 # function anew for every plain number that is written in a call of it.
 ALL, OTHERS = np.int64(0), np.int64(1)
@@ -48,6 +49,8 @@ class Fleet(NamedTuple):
     message: Rows  # scratch: the message being read
     weight: Floats  # scratch: (M, T)
     header: Ints  # scratch: (3,)
+    outlines: Floats  # scratch: (N, 3)
+    near: Ints  # scratch: (N,)
     detection: Floats  # scratch: (ROWS, 3)
     detected_kind: Ints  # scratch: (ROWS,)
     buffer: Bytes  # scratch: (MAX_BYTES,)
@@ -61,8 +64,8 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
         empty_rows(receivers, rows=MERGED_ROWS), empty_view(receivers), empty_air(count, link, MAX_BYTES),
         np.zeros((count, vehicles), np.bool_),
         Report(*(np.zeros(n, np.int64) for n in (count, count, receivers, receivers))),
-        empty_rows(), np.zeros((MERGED_ROWS, FRAMES)), np.zeros(3, np.int64), np.zeros((ROWS, 3)),
-        np.zeros(ROWS, np.int8), np.zeros(MAX_BYTES, np.uint8),
+        empty_rows(), np.zeros((MERGED_ROWS, FRAMES)), np.zeros(3, np.int64), np.zeros((vehicles, 3)),
+        np.zeros(vehicles, np.int64), np.zeros((ROWS, 3)), np.zeros(ROWS, np.int8), np.zeros(MAX_BYTES, np.uint8),
     )  # fmt: skip
 
 
@@ -70,6 +73,7 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
 def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link, depth: int, keys: Ints,
         step: int) -> None:  # fmt: skip
     """Sense, track, graph, encode and send for every vehicle; then deliver, merge and observe for every receiver."""
+    outline(world, fleet.outlines)
     for v in range(fleet.rows.shape[0]):
         perceive(world, fleet, v, sensor, keys[SENSE], step)
     for v in range(fleet.rows.shape[0]):
@@ -80,7 +84,7 @@ def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link,
         show(world, routes, fleet, r)
 
 
-@compiled_part
+@inlined
 def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, step: int) -> None:
     """One frame of one vehicle: fix, detections, tracks, and the window of its graph."""
     row, trail = fleet.rows[v], fleet.trail[v]
@@ -94,7 +98,10 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
         for t in range(FRAMES - 1):
             for axis in range(3):
                 trail[t, axis] = pose[axis]
-    found = sense(world, row, sensor, key, step, pose, fleet.detection, fleet.detected_kind, fleet.visible[v])
+    found = sense(
+        world, fleet.outlines, row, sensor, key, step, pose, fleet.detection, fleet.detected_kind, fleet.visible[v],
+        fleet.near,
+    )  # fmt: skip
     update(tracks, fleet.detection, fleet.detected_kind, found, sensor.noise)
     slide(window)
     add_body(window, pose, CENTRE_HEIGHT[world.kind[row]], world.kind[row])
@@ -103,7 +110,7 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
             add_track(window, tracks.id[i], tracks.kind[i], tracks.recent[i], tracks.recent_mask[i])
 
 
-@compiled_part
+@inlined
 def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: int) -> None:
     """Write one vehicle's graph as bytes and hand them to the radio."""
     size = 0
@@ -115,9 +122,9 @@ def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: 
     fleet.report.sent_bytes[v] = size if reason == ACCEPTED else 0
 
 
-@compiled_part
+@inlined
 def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
-    """Parse what arrives, once per message, and give it to every receiver that it reaches."""
+    """Give what arrives to every receiver that it reaches; a message is parsed once, if it reaches any."""
     report = fleet.report
     receivers = fleet.merged.used.shape[0]
     for r in range(receivers):
@@ -125,19 +132,22 @@ def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
         for v in range(fleet.rows.shape[0]):
             slide(_kept_at(fleet.kept, r, v))
     for v in range(fleet.rows.shape[0]):
-        length = fetch(fleet.air, link, step, v, fleet.buffer)
-        if length < 0 or read(fleet.buffer, length, fleet.header, fleet.message) != READ:
-            continue
-        age = step - fleet.header[1] // 100  # the time in the message places its frames, not that of its arrival
+        length = UNREAD
         for r in range(receivers):
             end = fate(fleet.air, link, key, step, v, r)
             report.lost[r] += end == LOST
-            if end == REACHES:
-                report.received_bytes[r] += length
-                receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
+            if end != REACHES:
+                continue
+            if length == UNREAD:
+                length = fetch(fleet.air, link, step, v, fleet.buffer)
+                if read(fleet.buffer, length, fleet.header, fleet.message) != READ:
+                    break
+            report.received_bytes[r] += length
+            age = step - fleet.header[1] // 100  # the time in the message places its frames, not that of its arrival
+            receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
 
 
-@compiled_part
+@inlined
 def fuse(fleet: Fleet, r: int) -> None:
     """Merge what receiver r knows by itself with what it holds of the others, in the order of their numbers."""
     merged, trail = _rows_at(fleet.merged, r), fleet.trail[r]
@@ -149,7 +159,7 @@ def fuse(fleet: Fleet, r: int) -> None:
     finish_merge(merged, trail)
 
 
-@compiled_part
+@inlined
 def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     """Fill receiver r's view."""
     row, view, trail = fleet.rows[r], _view_at(fleet.views, r), fleet.trail[r]
@@ -160,17 +170,17 @@ def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     )  # fmt: skip
 
 
-@compiled_part
+@inlined
 def _rows_at(stack: Rows, v: int) -> Rows:
     return Rows(stack.used[v], stack.track[v], stack.position[v], stack.mask[v], stack.kind[v])
 
 
-@compiled_part
+@inlined
 def _kept_at(stack: Rows, r: int, v: int) -> Rows:
     return Rows(stack.used[r, v], stack.track[r, v], stack.position[r, v], stack.mask[r, v], stack.kind[r, v])
 
 
-@compiled_part
+@inlined
 def _tracks_at(stack: Tracks, v: int) -> Tracks:
     return Tracks(
         stack.used[v], stack.next_id[v], stack.id[v], stack.mean[v], stack.covariance[v], stack.height[v],
@@ -178,7 +188,7 @@ def _tracks_at(stack: Tracks, v: int) -> Tracks:
     )  # fmt: skip
 
 
-@compiled_part
+@inlined
 def _view_at(stack: View, r: int) -> View:
     return View(
         stack.tracks[r], stack.mask[r], stack.kind[r], stack.odometry[r], stack.ego[r], stack.command[r],

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.assignment import assign
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, inlined
 from cad_env.types import ROWS, STEP, Bools, Floats, Ints
+from cad_env.world.geometry import within
 
 GATE = 3.0  # m; 18 m/s is 1.8 m a frame, so a newborn track of unknown velocity still finds its next detection
 BIRTH_HITS = 3  # detections before a track counts
@@ -70,7 +71,8 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
     for i in range(rows):
         _predict(tracks, i)
         for j in range(found):
-            cost[i, j] = math.hypot(position[j, 0] - tracks.mean[i, 0], position[j, 1] - tracks.mean[i, 1])
+            dx, dy = position[j, 0] - tracks.mean[i, 0], position[j, 1] - tracks.mean[i, 1]
+            cost[i, j] = math.hypot(dx, dy) if within(dx, dy, GATE) else math.inf
     assign(cost, rows, found, GATE, match)
     variance = max(noise, LEAST_NOISE) ** 2
     taken = np.zeros(ROWS, np.bool_)
@@ -86,7 +88,7 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
             _spawn(tracks, position[j], kind[j], variance)
 
 
-@compiled
+@inlined
 def _predict(tracks: Tracks, i: int) -> None:
     mean, spread = tracks.mean[i], tracks.covariance[i]
     mean[0] += STEP * mean[2]
@@ -97,7 +99,7 @@ def _predict(tracks: Tracks, i: int) -> None:
     spread[2] += STEP * STEP * power
 
 
-@compiled
+@inlined
 def _correct(tracks: Tracks, i: int, detection: Floats, kind: int, variance: float) -> None:
     mean, spread = tracks.mean[i], tracks.covariance[i]
     gain_place = spread[0] / (spread[0] + variance)
@@ -115,7 +117,7 @@ def _correct(tracks: Tracks, i: int, detection: Floats, kind: int, variance: flo
     tracks.misses[i] = 0
 
 
-@compiled
+@inlined
 def _remember(tracks: Tracks, i: int) -> None:
     recent, mask = tracks.recent[i], tracks.recent_mask[i]
     for k in range(BIRTH_HITS - 1):
@@ -128,7 +130,7 @@ def _remember(tracks: Tracks, i: int) -> None:
     recent[BIRTH_HITS - 1, 2] = tracks.height[i]
 
 
-@compiled
+@inlined
 def _spawn(tracks: Tracks, detection: Floats, kind: int, variance: float) -> None:
     i = tracks.used[0]
     tracks.used[0] += 1

@@ -21,11 +21,14 @@ def time_to_contact(world: World, i: int) -> float:
         dx, dy = world.position[j, 0] - world.position[i, 0], world.position[j, 1] - world.position[i, 1]
         ux = world.speed[j] * math.cos(world.heading[j]) - vx
         uy = world.speed[j] * math.sin(world.heading[j]) - vy
-        reach = 0.5 * (math.hypot(world.size[i, 0], world.size[i, 1]) + math.hypot(world.size[j, 0], world.size[j, 1]))
         # Nearest approach of the two circles: most pairs never come close, and cost no box test.
         square = ux * ux + uy * uy
         nearest = 0.0 if square < 1e-9 else min(max(-(dx * ux + dy * uy) / square, 0.0), HORIZON)
-        if (dx + nearest * ux) ** 2 + (dy + nearest * uy) ** 2 > reach * reach:
+        away = (dx + nearest * ux) ** 2 + (dy + nearest * uy) ** 2
+        if away > (world.size[i, 0] + world.size[j, 0]) ** 2:  # no width is greater than its length: spares the roots
+            continue
+        reach = 0.5 * (math.hypot(world.size[i, 0], world.size[i, 1]) + math.hypot(world.size[j, 0], world.size[j, 1]))
+        if away > reach * reach:
             continue
         for step in range(int(HORIZON / RESOLUTION) + 1):
             time = step * RESOLUTION

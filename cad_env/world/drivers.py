@@ -7,7 +7,7 @@ runs along the own one, so that a truck is seen as long as it is.
 
 import math
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, inlined
 from cad_env.types import BRAKE
 from cad_env.world.state import IDM, OFF, STANDING, Routes, World
 
@@ -24,7 +24,7 @@ SHORT_OF_LINE = 0.5  # m before its line, where a late braker comes to stand
 SLOW = 1.0  # m/s, below which a late braker creeps to its line as anybody does
 
 
-@compiled
+@inlined
 def gap_to_leader(world: World, routes: Routes, i: int) -> tuple[float, float]:
     """(bumper gap m, leader's speed m/s) to the nearest vehicle in the way on i's route; (inf, 0) if none."""
     gap, leader_speed = math.inf, 0.0
@@ -69,7 +69,7 @@ def idm_acceleration(speed: float, target_speed: float, gap: float, leader_speed
     return max(MAX_ACCELERATION * (free - interaction), -HARDEST_BRAKING)
 
 
-@compiled
+@inlined
 def acceleration_of(world: World, routes: Routes, i: int) -> float:
     """What vehicle i's driver does now, m/s2."""
     if world.struck[i] >= 0:

@@ -6,7 +6,7 @@ The equations and gains are those of `highway_env.vehicle.kinematics.Vehicle.ste
 
 import math
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, inlined
 from cad_env.types import Floats
 from cad_env.world.state import Routes, World
 
@@ -18,7 +18,7 @@ MAX_STEERING = math.pi / 3  # rad
 LEAST_STEERING_SPEED = 1.0  # m/s
 
 
-@compiled
+@inlined
 def heading_at(routes: Routes, route: int, progress: float) -> float:
     """The heading of a route at an arc length, rad."""
     step = progress / routes.spacing
@@ -29,7 +29,7 @@ def heading_at(routes: Routes, route: int, progress: float) -> float:
     return float(before + share * (after - before))
 
 
-@compiled
+@inlined
 def place_on_route(routes: Routes, route: int, x: float, y: float, progress: float) -> tuple[float, float]:
     """(arc length, lateral offset to the left) of a point, searched from a nearby arc length, m."""
     lateral = 0.0
@@ -52,7 +52,7 @@ def wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@compiled
+@inlined
 def steering(routes: Routes, route: int, progress: float, lateral: float, heading: float, speed: float,
              length: float) -> float:  # fmt: skip
     """The steering angle that follows the route, rad: lateral offset -> heading -> heading rate -> slip angle."""
@@ -65,7 +65,7 @@ def steering(routes: Routes, route: int, progress: float, lateral: float, headin
     return min(max(math.atan(2.0 * math.tan(slip)), -MAX_STEERING), MAX_STEERING)
 
 
-@compiled
+@inlined
 def drive(world: World, routes: Routes, i: int, acceleration: float, dt: float) -> None:
     """Move vehicle i along its route for dt under an acceleration; it never rolls backwards."""
     position: Floats = world.position

@@ -30,10 +30,25 @@ def boxes_touch(
 
 
 @compiled
+def within(dx: float, dy: float, reach: float) -> bool:
+    """Whether hypot(dx, dy) <= reach, to the last bit, and hardly ever at its cost."""
+    square, limit = dx * dx + dy * dy, reach * reach
+    if square < limit * (1.0 - 1e-9):
+        return True
+    if square > limit * (1.0 + 1e-9):
+        return False
+    return math.hypot(dx, dy) <= reach
+
+
+@compiled
 def box_hides(
-    x0: float, y0: float, x1: float, y1: float, bx: float, by: float, heading: float, length: float, width: float
-) -> bool:
-    """True if the box cuts the line of sight from (x0, y0) to (x1, y1) (slab test in the frame of the box)."""
+    x0: float, y0: float, x1: float, y1: float, bx: float, by: float, cos: float, sin: float, length: float,
+    width: float,
+) -> bool:  # fmt: skip
+    """True if the box cuts the line of sight from (x0, y0) to (x1, y1) (slab test in the frame of the box).
+
+    cos and sin are those of the box's heading, because a box is asked for many lines.
+    """
     dx, dy = x1 - x0, y1 - y0
     px, py = bx - x0, by - y0
     square = dx * dx + dy * dy
@@ -44,7 +59,6 @@ def box_hides(
         return False
     if along < 0.0 and px * px + py * py > reach:
         return False
-    cos, sin = math.cos(heading), math.sin(heading)
     start_x, start_y = -(px * cos + py * sin), px * sin - py * cos
     step_x, step_y = dx * cos + dy * sin, -dx * sin + dy * cos
     near, far = 0.0, 1.0

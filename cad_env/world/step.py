@@ -1,6 +1,6 @@
 """One decision's worth of world: drivers, motion and contact, at 20 Hz."""
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, inlined
 from cad_env.types import STEP, Floats, Ints
 from cad_env.world.drivers import acceleration_of, drives
 from cad_env.world.dynamics import drive
@@ -21,7 +21,7 @@ def command(world: World, i: int, action: int) -> None:
     queue[-1] = action
 
 
-@compiled
+@inlined
 def substep(world: World, routes: Routes, acceleration: Floats, dt: float) -> None:
     """Everybody decides on what is, then everybody moves, then contacts are noted. `acceleration`: (N,) scratch."""
     count = world.speed.shape[0]
@@ -36,7 +36,7 @@ def substep(world: World, routes: Routes, acceleration: Floats, dt: float) -> No
     note_contacts(world)
 
 
-@compiled
+@inlined
 def note_contacts(world: World) -> None:
     """Mark every pair of vehicles that touch; a vehicle remembers the first it touched."""
     position, heading, size, struck = world.position, world.heading, world.size, world.struck

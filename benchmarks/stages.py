@@ -126,8 +126,9 @@ class Stages:
             "radio and decode": _radio, "merge": _merge, "observe": _observe, "outcome and reward": _outcome,
         }  # fmt: skip
         self._loops = {name: _looped(stage) for name, stage in stages.items()}
+        live = live_scenes(1)  # kept by a name: the kernels only borrow its arrays
         for loop in self._loops.values():
-            loop(1, live_scenes(1)._board.scenes, 0)
+            loop(1, live._board.scenes, 0)
 
     def measured(self) -> dict[str, float]:
         """Microseconds of each stage in one step of four vehicles, the mean of several scenes and times in them."""

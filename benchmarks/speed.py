@@ -34,6 +34,7 @@ from cad_env.world.step import advance
 
 ROOT = Path(__file__).resolve().parent.parent
 ENV_ID, PEER_ID = "CADLeftTurn-v0", "intersection-v0"
+AGENTS_PEER_ID = "intersection-multi-agent-v0"
 FOUR = {"collaborators": (3, 3)}  # the ego and exactly three more
 IDLE = 1  # the peer's "keep lane and speed"
 EPISODE = 80  # steps of the bare world between two scenes: 8 s, about an episode
@@ -43,6 +44,8 @@ BARS = {  # figure -> (least or most, bar)
     "world step, 12 vehicles (1/s)": ("least", 50_000.0),
     "env.step, ego + 3 collaborators (1/s)": ("least", 3_000.0),
     "env.step over peer at 10 Hz": ("least", 15.0),
+    "parallel env, 4 agents (1/s)": ("least", 6_000.0),
+    "parallel env over peer's multi-agent env": ("least", 50.0),
     "reset (ms)": ("most", 2.0),
 }
 
@@ -81,7 +84,7 @@ class Measured:
         return self.steps / self.stepping
 
 
-def single(env: gym.Env[Any, Any], action: int, steps: int, first_seed: int) -> Measured:
+def single(env: gym.Env[Any, Any], action: Any, steps: int, first_seed: int) -> Measured:
     """Step a Gymnasium environment, a new seed whenever an episode ends."""
     result = Measured()
     while result.steps < steps:
@@ -133,15 +136,16 @@ def world(steps: int, first_seed: int) -> Measured:
     return result
 
 
-def peer(simulation_hz: int) -> gym.Env[Any, Any]:
+def peer(simulation_hz: int, env_id: str = PEER_ID, **config: Any) -> gym.Env[Any, Any]:
     """highway-env's own intersection, deciding at 10 Hz as ours does."""
     gym.logger.min_level = gym.logger.ERROR  # that there is a v2 of it is known; v0 is the faster one
-    return gym.make(PEER_ID, config={"policy_frequency": 10, "simulation_frequency": simulation_hz})
+    return gym.make(env_id, config={"policy_frequency": 10, "simulation_frequency": simulation_hz, **config})
 
 
 def stepping_figures(settings: Settings) -> dict[str, list[float]]:
     """Every figure of a running environment, once per repeat."""
     peers = {hz: peer(hz) for hz in (10, 20)}
+    crowds = {count: peer(10, AGENTS_PEER_ID, controlled_vehicles=count) for count in (2, 4)}  # 2 is its default
     env = gym.make(ENV_ID, ranges=FOUR)
     agents = cad_env.parallel_env(ENV_ID, ranges=FOUR)
     stages = Stages()
@@ -155,6 +159,7 @@ def stepping_figures(settings: Settings) -> dict[str, list[float]]:
     for repeat in tqdm(range(settings.repeats), desc="repeats", disable=None):
         seed = 1000 * repeat
         rates = {hz: single(other, IDLE, few, seed) for hz, other in peers.items()}
+        together = {count: single(other, (IDLE,) * count, few, seed).rate for count, other in crowds.items()}
         ours = single(env, cad_env.GO, settings.steps, seed)
         everyone = parallel(agents, settings.steps, seed)
         bare = world(20 * settings.steps, seed)
@@ -168,7 +173,11 @@ def stepping_figures(settings: Settings) -> dict[str, list[float]]:
         note("  our vehicles at the end of an episode", ours.vehicles / ours.steps)
         note("env.step over peer at 10 Hz", ours.rate / rates[10].rate)
         note("env.step over peer at 20 Hz, as we simulate", ours.rate / rates[20].rate)
+        for count, rate in together.items():
+            note(f"peer {AGENTS_PEER_ID}, {count} agents (1/s)", rate)
         note("parallel env, 4 agents (1/s)", everyone.rate)
+        note("parallel env over peer's multi-agent env", everyone.rate / together[2])
+        note("parallel env over peer's with 4 agents", everyone.rate / together[4])
         note("reset (ms)", 1e3 * ours.resetting / ours.resets)
         step, parts = 1e6 / ours.rate, {"world": 1e6 / bare.rate, **stages.measured()}
         for name, cost in parts.items():

@@ -171,6 +171,8 @@ def checked_action(action: Any) -> int:
     >>> checked_action(np.int64(1))
     1
     """
+    if type(action) is int and action in (GO, BRAKE):  # the usual case, which need not cost as much as the rest
+        return action
     value = np.asarray(action)
     if value.ndim != 0 or value.dtype.kind not in "iuf" or not math.isfinite(value) or value not in (GO, BRAKE):
         raise ValueError(f"action must be {GO} (go) or {BRAKE} (brake), got {action!r}")

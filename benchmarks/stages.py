@@ -127,7 +127,7 @@ class Stages:
         }  # fmt: skip
         self._loops = {name: _looped(stage) for name, stage in stages.items()}
         for loop in self._loops.values():
-            loop(1, live_scenes(1)._board.scenes, 0)
+            loop(1, live_scenes(1).scenes, 0)
 
     def measured(self) -> dict[str, float]:
         """Microseconds of each stage in one step of four vehicles, the mean of several scenes and times in them."""
@@ -137,7 +137,7 @@ class Stages:
                 live = live_scenes(age)
                 for place in range(SCENES):
                     start = time.process_time()
-                    loop(CALLS, live._board.scenes, place)
+                    loop(CALLS, live.scenes, place)
                     cost[name] += (time.process_time() - start) / CALLS / SCENES / len(AGES) * 1e6
         # Tracking changes what it is given, so it is timed on fresh detections and their cost is taken off.
         both, sensing = cost.pop("sense and track"), cost["sense"]

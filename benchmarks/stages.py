@@ -126,9 +126,8 @@ class Stages:
             "radio and decode": _radio, "merge": _merge, "observe": _observe, "outcome and reward": _outcome,
         }  # fmt: skip
         self._loops = {name: _looped(stage) for name, stage in stages.items()}
-        live = live_scenes(1)  # kept by a name: the kernels only borrow its arrays
         for loop in self._loops.values():
-            loop(1, live._board.scenes, 0)
+            loop(1, live_scenes(1).scenes, 0)
 
     def measured(self) -> dict[str, float]:
         """Microseconds of each stage in one step of four vehicles, the mean of several scenes and times in them."""
@@ -138,7 +137,7 @@ class Stages:
                 live = live_scenes(age)
                 for place in range(SCENES):
                     start = time.process_time()
-                    loop(CALLS, live._board.scenes, place)
+                    loop(CALLS, live.scenes, place)
                     cost[name] += (time.process_time() - start) / CALLS / SCENES / len(AGES) * 1e6
         # Tracking changes what it is given, so it is timed on fresh detections and their cost is taken off.
         both, sensing = cost.pop("sense and track"), cost["sense"]

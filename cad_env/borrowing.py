@@ -1,7 +1,7 @@
 """Records of arrays that compiled code borrows: it counts no references to them.
 
 Numba counts a reference, atomically, whenever it takes an array out of a record, and a step does so some thousand
-times: a fifth of its time. An array without an owner is passed over; somebody in Python must keep it alive.
+times: a fifth of its time. An array without an owner is passed over; `lend` keeps the owners alive in Python.
 """
 
 from collections.abc import Callable
@@ -36,6 +36,13 @@ def _borrow(typing: Any, record: Any) -> Any:
 
 def _as_it_is(record: Any) -> Any:
     return record
+
+
+def lend(scenes: Any, owners: Any) -> Any:
+    """A typed list of borrowed records that keeps their owners alive as long as itself; a plain list holds its own."""
+    if not isinstance(scenes, list):
+        scenes.owners = owners
+    return scenes
 
 
 # For compiled code: the same record, whose arrays somebody else keeps alive.

@@ -26,6 +26,11 @@ class Ensemble:
             name: part[:, 0] for name, part in zip(self._board.views._fields, self._board.views, strict=True)
         }
 
+    @property
+    def scenes(self) -> Any:
+        """The typed list of `LiveScene`, for compiled loops of one's own; there from the first start on."""
+        return self._board.scenes
+
     def __len__(self) -> int:
         return len(self.simulations)
 

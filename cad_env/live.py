@@ -10,7 +10,7 @@ import numpy as np
 from numba import typeof
 from numba.typed import List
 
-from cad_env.borrowing import borrowed
+from cad_env.borrowing import borrowed, lend
 from cad_env.compiled import compiled, inlined
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link
@@ -84,7 +84,7 @@ class Board:
     def put(self, place: int, scene: LiveScene) -> None:
         """Let a new scene take a place."""
         if self.scenes is None:
-            self.scenes = _no_scenes(typeof(scene))
+            self.scenes = lend(_no_scenes(typeof(scene)), self._owners)
         _put(self.scenes, place, scene)
         self._owners[place] = scene
 

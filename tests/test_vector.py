@@ -1,6 +1,7 @@
 """Many scenes in one process: equal to single environments to the last bit, by Gymnasium's conventions."""
 
 import copy
+import gc
 import json
 import math
 import pickle
@@ -291,3 +292,17 @@ def test_a_copy_of_an_episode_goes_its_own_way(copied: Any):
     gone, expected = [env.step(GO) for _ in range(10)], [straight.step(GO) for _ in range(10)]
     assert all(same(a[0], b[0]) and a[1:] == b[1:] for a, b in zip(gone, expected, strict=True))
     assert braked[-1][-1]["speed"] < gone[-1][-1]["speed"] - 1.0
+
+
+def test_scenes_outlive_their_environment_for_whoever_holds_them():
+    # Compiled code counts no references to the arrays of a scene: the list of scenes has to keep them.
+    def truths() -> Any:
+        env = CADVectorEnv(3)
+        env.reset(seed=5)
+        return env.ensemble.truths(np.arange(3))
+
+    kept, expected = truths(), Expert().act_batch(truths())
+    rubbish = [np.full(1 << 12, -1.0) for _ in range(2000)]  # what would be in the arrays if they had been freed
+    gc.collect()
+    assert Expert().act_batch(kept).tolist() == expected.tolist()
+    assert len(rubbish) == 2000

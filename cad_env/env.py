@@ -75,10 +75,10 @@ class CADEnv(AbstractEnv):
             given["layers"] = checked_layers(given["layers"])
         if "scenario" in given:
             given = {**screen(scenario_named(given["scenario"]).map), **given}
-        super().configure(given)
-        setup = setup_from({k: v for k, v in self.config.items() if k in _SETUP})
+        setup = setup_from({k: v for k, v in {**self.config, **given}.items() if k in _SETUP})
         if hasattr(self, "simulation") and self.simulation.setup.cloud != setup.cloud:
             raise ValueError(f"cloud is a part of the observation and cannot change later, got {setup.cloud!r}")
+        super().configure(given)
         self.simulation = Simulation(setup)
 
     def define_spaces(self) -> None:

@@ -9,13 +9,14 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 
+from cad_env.cloud import space_with
 from cad_env.config import check_names
 from cad_env.drawing.framing import screen
 from cad_env.drawing.layers import LAYERS, checked_layers
 from cad_env.drawing.viewer import SceneViewer
 from cad_env.planner import Truth
 from cad_env.scenarios import scenario_named
-from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from, space_of
+from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
 from cad_env.types import BRAKE, GO, Floats, Observation
 from cad_env.views import WorldRoad
 
@@ -84,7 +85,7 @@ class CADEnv(AbstractEnv):
     def define_spaces(self) -> None:
         """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""
         self.observation_type = self.action_type = None
-        self.observation_space: spaces.Dict = space_of(self.simulation.setup)
+        self.observation_space: spaces.Dict = space_with(self.simulation.setup.cloud)
         self.action_space: spaces.Discrete = spaces.Discrete(2)
 
     def reset(

@@ -7,6 +7,7 @@ A raw message is what a lidar reports, ground and all, in whole centimetres of t
 """
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -124,13 +125,17 @@ class RawPoints:
         if len(payload) < _COUNT or count > MOST_POINTS or len(payload) != _COUNT + _POINT * count:
             raise DecodeError(f"raw points of {len(payload)} bytes refused: they are not a count and so many points")
         units = np.frombuffer(payload, "<i2", 3 * count, _COUNT).reshape(count, 3)
-        return _thin(units.astype(np.int16), _CENTIMETRE, self.most)
+        return _thin(units.astype(np.int16, copy=False), _CENTIMETRE, self.most)
 
 
 def _written(cloud: Floats) -> bytes:
     if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) > MOST_POINTS:
         raise ValueError(f"a cloud must be (n <= {MOST_POINTS}, 3), got {cloud.shape}")
-    units = np.empty(cloud.shape, np.int16)
+    payload = np.empty(_COUNT + _POINT * len(cloud), np.uint8)
+    payload[:_COUNT] = np.frombuffer(len(cloud).to_bytes(_COUNT, "little"), np.uint8)
+    units = payload[_COUNT:].view(np.int16).reshape(cloud.shape)
     if not _to_centimetres(cloud, units):
         raise ValueError(f"coordinates of a cloud must be from {-REACH:g} to {REACH:g} m, got {np.abs(cloud).max():g}")
-    return len(cloud).to_bytes(_COUNT, "little") + units.astype("<i2", copy=False).tobytes()
+    if sys.byteorder == "big":
+        units.byteswap(inplace=True)
+    return payload.tobytes()

@@ -74,6 +74,12 @@ class Sharing:
         trail, most = self._scene.fleet.trail, max(KEPT, self.config.codec.most)
         return [OwnCloud(thinned(self.cloud(v), most), trail[v, FRAMES - 1].copy()) for v in range(len(trail))]
 
+    def take(self, contents: Sequence[bytes]) -> None:
+        """One step, given what the codec wrote of every speaker's cloud: send, receive, merge, show and tell."""
+        self.send(contents)
+        self.show(self.config.codec.decode(contents[0]), self.receive())
+        tell_air(self._scene.told, self._scene.fleet.report)
+
     def send(self, contents: Sequence[bytes]) -> None:
         """Put on the air what the codec wrote of every speaker's cloud, as far as the budget goes."""
         fleet, step = self._scene.fleet, self.step
@@ -140,10 +146,7 @@ def exchange(sharings: Sequence[Sharing], rooms: list[Floats]) -> None:
     speakers = [(sharing, v) for sharing in sharings for v in sharing.speakers()]
     contents = _encoded(speakers, rooms)
     for sharing in sharings:
-        said = [contents[id(sharing), v] for v in sharing.speakers()]
-        sharing.send(said)
-        sharing.show(sharing.config.codec.decode(said[0]), sharing.receive())
-        tell_air(sharing._scene.told, sharing._scene.fleet.report)
+        sharing.take([contents[id(sharing), v] for v in sharing.speakers()])
 
 
 def _encoded(speakers: Sequence[tuple[Sharing, int]], rooms: list[Floats]) -> dict[tuple[int, int], bytes]:

@@ -11,7 +11,7 @@ from numba import typeof
 from numba.typed import List
 
 from cad_env.borrowing import borrowed, lend
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined_part
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link
 from cad_env.pipeline.sense import Sensing
@@ -129,7 +129,7 @@ def verdict(struck: bool, arrived: bool, over: bool) -> int:
     return TIMED_OUT if over else UNDER_WAY
 
 
-@inlined
+@inlined_part
 def tell(scene: LiveScene) -> None:
     """Write down what the newest step came to."""
     world, told, air = scene.world, scene.told, scene.fleet.report

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.types import FRAMES, ROWS, Floats, Graph, Rows
 
 
@@ -14,7 +14,7 @@ def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
     )  # fmt: skip
 
 
-@inlined
+@inlined_part
 def flat_positions(rows: Rows) -> Floats:
     """The positions as (R, T * 3): one plain loop over them moves many numbers at a time."""
     return rows.position.reshape(rows.position.shape[0], FRAMES * 3)

@@ -6,12 +6,12 @@ last node has left the window.
 
 import numpy as np
 
-from cad_env.compiled import inlined
+from cad_env.compiled import inlined_part
 from cad_env.rows import row_of
 from cad_env.types import FRAMES, STEP, Bools, Floats, Graph, Ints, Rows
 
 
-@inlined
+@inlined_part
 def add_body(rows: Rows, pose: Floats, height: float, kind: int) -> None:
     """Note where the vehicle itself is in the newest frame. Call it first, so that the body is row 0."""
     i = row_of(rows, 0)
@@ -22,7 +22,7 @@ def add_body(rows: Rows, pose: Floats, height: float, kind: int) -> None:
     rows.position[i, FRAMES - 1, 2] = height
 
 
-@inlined
+@inlined_part
 def add_track(rows: Rows, track: int, kind: int, recent: Floats, recent_mask: Bools) -> None:
     """Note a track's newest frames, (H, 3) and (H,): on its first entry all of them, later the newest alone."""
     known = rows.used[0]

@@ -7,7 +7,7 @@ runs along the own one, so that a truck is seen as long as it is.
 
 import math
 
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.types import BRAKE
 from cad_env.world.state import IDM, OFF, STANDING, Routes, World
 
@@ -69,7 +69,7 @@ def idm_acceleration(speed: float, target_speed: float, gap: float, leader_speed
     return max(MAX_ACCELERATION * (free - interaction), -HARDEST_BRAKING)
 
 
-@inlined
+@inlined_part
 def acceleration_of(world: World, routes: Routes, i: int) -> float:
     """What vehicle i's driver does now, m/s2."""
     if world.struck[i] >= 0:

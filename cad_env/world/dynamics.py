@@ -6,7 +6,7 @@ The equations and gains are those of `highway_env.vehicle.kinematics.Vehicle.ste
 
 import math
 
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.types import Floats
 from cad_env.world.state import Routes, World
 
@@ -52,7 +52,7 @@ def wrapped(angle: float) -> float:
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@inlined
+@inlined_part
 def steering(routes: Routes, route: int, progress: float, lateral: float, heading: float, speed: float,
              length: float) -> float:  # fmt: skip
     """The steering angle that follows the route, rad: lateral offset -> heading -> heading rate -> slip angle."""
@@ -65,7 +65,7 @@ def steering(routes: Routes, route: int, progress: float, lateral: float, headin
     return min(max(math.atan(2.0 * math.tan(slip)), -MAX_STEERING), MAX_STEERING)
 
 
-@inlined
+@inlined_part
 def drive(world: World, routes: Routes, i: int, acceleration: float, dt: float) -> None:
     """Move vehicle i along its route for dt under an acceleration; it never rolls backwards."""
     position: Floats = world.position

@@ -1,6 +1,6 @@
 """One decision's worth of world: drivers, motion and contact, at 20 Hz."""
 
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.types import STEP, Floats, Ints
 from cad_env.world.drivers import acceleration_of, drives
 from cad_env.world.dynamics import drive
@@ -12,7 +12,7 @@ SUBSTEPS = 2
 SUBSTEP = STEP / SUBSTEPS
 
 
-@compiled
+@inlined_part
 def command(world: World, i: int, action: int) -> None:
     """Queue GO or BRAKE for vehicle i; it takes force COMMAND_DELAY decisions later."""
     queue = world.command[i]
@@ -36,7 +36,7 @@ def substep(world: World, routes: Routes, acceleration: Floats, dt: float) -> No
     note_contacts(world)
 
 
-@inlined
+@inlined_part
 def note_contacts(world: World) -> None:
     """Mark every pair of vehicles that touch; a vehicle remembers the first it touched."""
     position, heading, size, struck = world.position, world.heading, world.size, world.struck

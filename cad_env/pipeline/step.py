@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.compiled import compiled, inlined_part
+from cad_env.compiled import inlined_part
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
@@ -69,7 +69,7 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
     )  # fmt: skip
 
 
-@compiled
+@inlined_part
 def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link, depth: int, keys: Ints,
         step: int) -> None:  # fmt: skip
     """Sense, track, graph, encode and send for every vehicle; then deliver, merge and observe for every receiver."""

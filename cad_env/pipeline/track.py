@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.assignment import assign
-from cad_env.compiled import compiled, inlined_part
+from cad_env.compiled import compiled, compiled_part, inlined_part
 from cad_env.types import ROWS, STEP, Bools, Floats, Ints
 from cad_env.world.geometry import within
 
@@ -146,7 +146,7 @@ def _spawn(tracks: Tracks, detection: Floats, kind: int, variance: float) -> Non
     _remember(tracks, i)
 
 
-@compiled
+@compiled_part
 def _drop_lost(tracks: Tracks) -> None:
     kept = 0
     for i in range(tracks.used[0]):

@@ -7,7 +7,7 @@ runs along the own one, so that a truck is seen as long as it is.
 
 import math
 
-from cad_env.compiled import compiled, inlined, inlined_part
+from cad_env.compiled import compiled, compiled_part, inlined, inlined_part
 from cad_env.types import BRAKE
 from cad_env.world.state import IDM, OFF, STANDING, Routes, World
 
@@ -86,7 +86,7 @@ def acceleration_of(world: World, routes: Routes, i: int) -> float:
     return acceleration
 
 
-@compiled
+@compiled_part
 def _acceleration_to_line(world: World, i: int, to_line: float) -> float:
     """What a red light asks of vehicle i, whose front is `to_line` m before it, m/s2; inf for nothing yet."""
     speed, late = world.speed[i], world.late_braking[i]

@@ -98,10 +98,11 @@ def test_what_is_in_sight_is_what_no_box_hides():
         spots = [(*rng.uniform(-60, 60, 2), rng.uniform(-4, 4), rng.uniform(4, 15), 2.5) for _ in range(8)]
         world = boxes((0.0, 0.0, rng.uniform(-4, 4)), *(spot for spot in spots if np.hypot(*spot[:2]) > 12))
         polygon, sensor = Polygon(in_sight(world, 0, REACH)), sensor_of(world, 0)
+        turns = np.stack([np.cos(world.heading), np.sin(world.heading)], axis=-1)
         assert polygon.is_valid
         for place in rng.uniform(-90, 90, (100, 2)):
             hidden = any(
-                box_hides(*sensor, *place, *world.position[k], world.heading[k], *world.size[k])
+                box_hides(*sensor, *place, *world.position[k], *turns[k], *world.size[k])
                 for k in range(1, len(world.speed))
             )
             free = not hidden and np.hypot(*(place - sensor)) <= REACH

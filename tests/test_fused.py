@@ -42,7 +42,7 @@ Arrays = dict[str, np.ndarray]
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Frames:
     folder = tmp_path_factory.mktemp("demonstrations")
-    return record(folder, lambda: CADEnv(scenario="left_turn"), Expert(), range(8), lambda _: None)
+    return record(folder, [CADEnv(scenario="left_turn")], Expert(), range(8), lambda _: None)
 
 
 def differences(net: StGraphNet, batch: Arrays) -> tuple[float, float]:
@@ -207,7 +207,8 @@ def test_training_fused_goes_where_training_dense_goes(recorded: Frames, monkeyp
         monkeypatch.setattr("policies.cloning.fused_logits", way)
         net = StGraphNet(seed=5).double()
         adam = torch.optim.Adam(net.parameters(), lr=1e-3)
-        fit(net, adam, recorded, Recipe(batch=16), range(10), 10, np.random.default_rng(0), lambda _: None)
+        rng = np.random.default_rng(0)
+        fit(net, adam, {"left_turn": recorded}, Recipe(batch=16), range(10), 10, rng, lambda _: None)
         ends.append(torch.cat([parameter.detach().flatten() for parameter in net.parameters()]))
     assert float((ends[0] - ends[1]).abs().max()) < 1e-7
 

@@ -7,6 +7,7 @@ import pytest
 from scenes import ARM, EAST, NORTH, WEST, cross, world_of
 
 from cad_env.env import CADEnv
+from cad_env.motion import fit_motion, lane_heading
 from cad_env.planner import (
     Expert,
     Planner,
@@ -14,8 +15,6 @@ from cad_env.planner import (
     Truth,
     contact_ahead,
     decide,
-    fit_motion,
-    lane_heading,
     oncoming_stretch,
     stopping_distance,
 )

@@ -69,8 +69,8 @@ class Board:
     def __init__(self, places: int) -> None:
         self.told = _nothing_told(places)
         self.views: View = empty_view(places, 1)  # what each ego decides on
-        self.shelf: Any = new_shelf(KIND, places)
         self._scenes: dict[int, LiveScene] = {}  # whose arrays the shelf borrows
+        self.shelf: Any = new_shelf(KIND, places, self._scenes)
 
     def told_at(self, place: int) -> Told:
         """The part of the scene at `place`."""
@@ -113,7 +113,7 @@ def _put(shelf: Any, place: int, scene: LiveScene) -> None:
 
 @inlined_part
 def scene_at(shelf: Any, place: int) -> LiveScene:
-    """The live scene at a place of a board's shelf, borrowed: for compiled loops while the board is there."""
+    """The live scene at a place of a board's shelf, borrowed, for compiled loops."""
     scene: LiveScene = take(shelf, place, KIND)
     return scene
 

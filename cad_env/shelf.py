@@ -2,7 +2,7 @@
 
 Numba hands a record of a hundred arrays over one by one, which takes 20 us from Python, and counts references to each
 whenever it takes one out of another, some thousand times in a step. From a shelf a record is *borrowed*: it is where
-its arrays are and of what shape, and nobody counts. Whoever puts it there keeps the arrays alive.
+its arrays are and of what shape, and nobody counts. The bytes keep alive whoever has lent them an array.
 """
 
 from collections.abc import Callable
@@ -91,6 +91,19 @@ if not numba_config.DISABLE_JIT:
         return int(_bytes(kind))
 
 
-def new_shelf(kind: Any, places: int) -> Any:
-    """An empty shelf for so many records of `kind`; in plain Python, where they need no borrowing, a list."""
-    return [None] * places if numba_config.DISABLE_JIT else np.zeros(places * size_of(kind), np.uint8)
+class _Memory(bytearray):
+    """Bytes that hold on to something."""
+
+    held: Any
+
+
+def new_shelf(kind: Any, places: int, lenders: dict[int, Any]) -> Any:
+    """An empty shelf for so many records of `kind`, which keeps alive all that is in `lenders` as long as itself.
+
+    Who puts a record at a place puts it into `lenders` too. In plain Python a shelf is a list.
+    """
+    if numba_config.DISABLE_JIT:
+        return [None] * places
+    memory = _Memory(places * size_of(kind))
+    memory.held = lenders
+    return np.frombuffer(memory, np.uint8)

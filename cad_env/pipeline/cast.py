@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.chance import normals_and_uniform
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined_part
 from cad_env.pipeline.sense import CENTRE_HEIGHT, MOUNT, Sensing
 from cad_env.types import Floats, Ints
 from cad_env.world.state import OFF, World
@@ -62,7 +62,7 @@ def meet(world: World, outlines: Floats, observer: int, reach: float, rays: Rays
         )  # fmt: skip
 
 
-@inlined
+@inlined_part
 def _meet_box(x: float, y: float, cos: float, sin: float, length: float, width: float, radius: float, row: int,
               reach: float, rays: Rays, distance: Floats, struck: Ints) -> None:  # fmt: skip
     """Note on which rays a box of half a length and half a width is nearer than what they met before."""
@@ -84,7 +84,7 @@ def _meet_box(x: float, y: float, cos: float, sin: float, length: float, width: 
             distance[a], struck[a] = place, row
 
 
-@inlined
+@inlined_part
 def _slab(start_x: float, step_x: float, half_x: float, start_y: float, step_y: float, half_y: float) -> float:
     """m along a ray to a box that its start and direction are given in the frame of; inf if it misses."""
     near, far = 0.0, math.inf

@@ -2,10 +2,9 @@
 
 import copy
 import math
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from scenes import Twitchy, digest, started, steps, whole_episode
@@ -14,16 +13,13 @@ from test_vector import driven, same, twitch
 
 from cad_env.cloud import CloudConfig
 from cad_env.config import RadioConfig
-from cad_env.ensemble import Ensemble
 from cad_env.env import CADEnv
-from cad_env.parallel import CADParallelEnv
 from cad_env.pipeline.envelope import SIZE
-from cad_env.pipeline.observe import HORIZON
 from cad_env.pipeline.points import RawPoints
 from cad_env.pipeline.radio import LOST, NOT_SENT, REACHES
 from cad_env.rollout import rollout, rollouts
 from cad_env.scenarios import SCENARIOS
-from cad_env.simulation import Setup, Simulation, setup_from
+from cad_env.simulation import Simulation
 from cad_env.types import GO
 from cad_env.vector import CADVectorEnv
 
@@ -246,34 +242,35 @@ def test_law_8_moving_what_nobody_sees_changes_no_observation():
     assert changed >= 5
 
 
-# --- The face ----------------------------------------------------------------------------------------------------
+class Labelled(RawPoints):
+    """Raw points, each with its place among those of its message, and with the number of clouds of its batch."""
+
+    width = 2
+    calls = 0
+
+    def encode(self, clouds: Sequence[np.ndarray]) -> list[bytes]:
+        type(self).calls += 1
+        return [bytes([len(clouds)]) + payload for payload in super().encode(clouds)]
+
+    def decode(self, payload: bytes) -> np.ndarray:
+        points = super().decode(payload[1:])
+        return np.column_stack([points, np.arange(len(points)), np.full(len(points), payload[0])])
 
 
-def test_clouds_are_in_the_space_and_only_when_asked_for():
-    env = gym.make("CADLeftTurn-v0", cloud=CloudConfig(**CLOUD))
-    space = env.observation_space
-    assert space["cloud"].shape == (200, 3)
-    assert np.abs(space["cloud"].high).max() == HORIZON
-    assert space.contains(env.reset(seed=1)[0])
-    assert all(space.contains(env.step(GO)[0]) for _ in range(5))
-    for without in (CADEnv(), CADEnv(cloud=None)):
-        assert not {"cloud", "cloud_mask"} & {*without.observation_space, *without.reset(seed=1)[0]}
-    asked = gym.make_vec("CADLeftTurn-v0", 2, vectorization_mode="vector_entry_point", cloud=CLOUD)
-    assert asked.observation_space.contains(asked.reset(seed=1)[0])
-
-
-def test_what_cannot_be_shared_is_refused_with_one_line():
-    for wrong in ({"azimuth": 3}, {"beams": 0}, {"beams": 2.5}, {"merged": True}, {"codec": 3}, "raw", 7):
-        with pytest.raises(ValueError, match="cloud") as caught:
-            setup_from({"cloud": wrong})
-        assert "\n" not in str(caught.value)
-    with pytest.raises(ValueError, match="sensor range with clouds"):
-        setup_from({"cloud": {}, "sensor": {"range": 400.0}})
-    with pytest.raises(ValueError, match="cloud is for one ego"):
-        CADParallelEnv(cloud=CLOUD)
-    with pytest.raises(ValueError, match="clouds of one shape"):
-        Ensemble([Setup(), replace(Setup(), cloud=CloudConfig())])
-    env = CADEnv(cloud=CLOUD)
-    with pytest.raises(ValueError, match="cannot change later"):
-        env.reset(options={"config": {"cloud": None}})
-    env.reset(options={"config": {"radio": "cv2x"}})
+def test_features_go_with_their_points_and_the_clouds_of_all_scenes_are_encoded_at_once():
+    config = CloudConfig(128, 4, Labelled(), 200)
+    vector, plain = (CADVectorEnv(3, cloud=cloud, radio="ideal") for cloud in (config, CloudConfig(**CLOUD)))
+    seen, same = vector.reset(seed=0)[0], plain.reset(seed=0)[0]
+    assert vector.single_observation_space["cloud"].shape == (200, 5)
+    Labelled.calls = 0
+    for _ in range(2):
+        seen, same = vector.step(np.zeros(3, int))[0], plain.step(np.zeros(3, int))[0]
+        assert seen["cloud"][..., :3].tobytes() == same["cloud"].tobytes()
+    assert Labelled.calls == 2
+    together = sum(len(simulation.agents) for simulation in vector.ensemble.simulations)
+    for k, simulation in enumerate(vector.ensemble.simulations):
+        features = shown({name: seen[name][k] for name in ("cloud", "cloud_mask")})[:, 3:]
+        assert set(features[:, 1]) == {together}
+        firsts = (features[:, 0] == 0).sum()
+        assert 1 <= firsts <= len(simulation.agents)
+        assert (np.diff(features[:, 0])[features[1:, 0] > 0] == 1).all()

@@ -28,11 +28,14 @@ class Order:
 
     @property
     def verdict(self) -> str:
-        """holds or opposite where the two intervals are apart, else open."""
+        """holds or opposite, where the two intervals are apart and that of the difference leaves out zero; else open.
+
+        The latter knows how much training seeds differ, which the intervals of the rates do not.
+        """
         better, worse = self.success
-        if better.low > worse.high:
+        if better.low > worse.high and self.advantage.low > 0.0:
             return "holds"
-        return "opposite" if worse.low > better.high else "open"
+        return "opposite" if worse.low > better.high and self.advantage.high < 0.0 else "open"
 
 
 def orders(rows: Sequence[ClosedRow], drives: Mapping[str, Drives]) -> list[Order]:

@@ -1,7 +1,7 @@
 """A made-up run folder, with outcomes by chance, for the tests of the report."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,29 +41,31 @@ def write_episodes(folder: Path, records: Iterable[Record], command: str = "pyth
     (folder / "episodes.jsonl").write_text("".join(one.line() + "\n" for one in records))
 
 
-def write_closed(folder: Path, radio: str = "dsrc", training_seeds: int = 3, episodes: int = 60) -> None:
+def write_closed(
+    folder: Path, radio: str = "dsrc", training_seeds: int = 3, episodes: int = 60, scenes: Sequence[str] = SCENES
+) -> None:
     """Every row in every scene; who is not trained is in training seed 0 only."""
     rng = np.random.default_rng(1)
     for training_seed in range(training_seeds):
         names = [name for name in ROWS if name in LEARNED or training_seed == 0]
         records = [
             record(scene, name, seed, rng, SUCCESS.get(name, 0.99), SIZE.get(name, 0))
-            for scene in SCENES
+            for scene in scenes
             for name in names
             for seed in range(1_000_000, 1_000_000 + episodes)
         ]
         write_episodes(folder / "closed" / radio / str(training_seed), records)
 
 
-def write_open(folder: Path, training_seeds: int = 2, episodes: int = 12) -> None:
+def write_open(folder: Path, training_seeds: int = 2, episodes: int = 12, scenes: Sequence[str] = SCENES) -> None:
     """Answers that are right nine times out of ten."""
     rng = np.random.default_rng(2)
     for training_seed in range(training_seeds):
-        for scene in SCENES:
+        for scene in scenes:
             for name in LEARNED:
                 found = [open_episode(seed, rng, SIZE.get(name, 0)) for seed in range(800_000, 800_000 + episodes)]
                 path = open_path(folder, training_seed, scene, name)
-                write_open_loop(path, OpenLoop(scene, name, tuple(found)))
+                write_open_loop(path, OpenLoop(scene, name, "dsrc", tuple(found)))
 
 
 def open_episode(seed: int, rng: np.random.Generator, size: int = 300, frames: int = 40) -> OpenEpisode:
@@ -75,7 +77,7 @@ def open_episode(seed: int, rng: np.random.Generator, size: int = 300, frames: i
     return OpenEpisode(seed, seed % 2 == 0, *digits, tuple(scores.tolist()), sent, size * sent, 2 * size)
 
 
-def write_sweeps(folder: Path, episodes: int = 40) -> None:
+def write_sweeps(folder: Path, episodes: int = 40, scenes: Sequence[str] = SCENES) -> None:
     """Every point; the more it asks of a contender, the less it succeeds."""
     rng = np.random.default_rng(3)
     for sweep in SWEEPS.values():
@@ -83,19 +85,19 @@ def write_sweeps(folder: Path, episodes: int = 40) -> None:
             size = int(40 + 25 * float(point.value)) if sweep.name == "depth" else min(300, 64 * (place + 1))
             records = [
                 record(scene, name, seed, rng, 0.99 - 0.1 * place * (name != "stgraph"), size)
-                for scene in SCENES
+                for scene in scenes
                 for name in point.contenders
                 for seed in range(1_000_000, 1_000_000 + episodes)
             ]
             write_episodes(folder / point.folder, records)
 
 
-def write_run(folder: Path) -> Path:
+def write_run(folder: Path, scenes: Sequence[str] = SCENES, episodes: int = 60) -> Path:
     """All parts."""
-    write_closed(folder)
-    write_closed(folder, "ideal", 1)
-    write_open(folder)
-    write_sweeps(folder)
+    write_closed(folder, episodes=episodes, scenes=scenes)
+    write_closed(folder, "ideal", 1, episodes, scenes)
+    write_open(folder, scenes=scenes)
+    write_sweeps(folder, episodes // 2, scenes)
     (folder / "costs.json").write_text(json.dumps({"stgraph": {"parameters": 2722, "ms": 0.2}}))
     (folder / "notes.md").write_text("Points came out *better* than in the paper.")
     return folder

@@ -108,14 +108,14 @@ def difference(first: Bools, second: Bools) -> Estimate:
 
 
 def success_pairs(first: Drives, second: Drives) -> tuple[Bools, Bools]:
-    """Successes (S, E) and (R, E) of two contenders on the episodes that both have; training seeds both have, if any.
+    """Successes (S, E) and (R, E) of two contenders on the episodes that both have.
 
-    One that is trained once, or not at all, keeps its only training seed.
+    Of the training seeds they keep those that both have; one that is trained once, or not at all, meets all.
     """
     shared = sorted(set(first) & set(second))
-    chosen = [
-        drives if len(drives) == 1 or not shared else {k: drives[k] for k in shared} for drives in (first, second)
-    ]
+    chosen = [first, second]
+    if min(len(first), len(second)) > 1 and shared:
+        chosen = [{k: drives[k] for k in shared} for drives in chosen]
     seeds = sorted(set.intersection(*(set(run) for drives in chosen for run in drives.values())))
     one, two = (
         np.array([[run[seed].outcome == "success" for seed in seeds] for run in drives.values()]) for drives in chosen

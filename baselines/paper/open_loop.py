@@ -68,6 +68,7 @@ class OpenLoop:
 
     scenario: str
     contender: str
+    radio: str  # by the name of its preset
     episodes: tuple[OpenEpisode, ...]
 
 
@@ -83,7 +84,7 @@ def measure(contender: Contender, settings: Settings, scenario: str, seeds: Sequ
     found: list[OpenEpisode] = []
     for start in range(0, len(seeds), ABREAST):  # so many episodes of observations are held at a time
         found += _asked(policy, envs, seeds[start : start + ABREAST], HAZARDS[settings.hazard])
-    return OpenLoop(scenario, contender.name, tuple(found))
+    return OpenLoop(scenario, contender.name, settings.radio if contender.shares else "none", tuple(found))
 
 
 def _asked(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], hazard: bool | None) -> list[OpenEpisode]:
@@ -136,6 +137,7 @@ def _is_count(value: object) -> bool:
     return type(value) is int and value >= 0
 
 
+NAMES = ("scenario", "contender", "radio")  # of an OpenLoop
 _KEYS = tuple(field.name for field in fields(OpenEpisode))
 
 
@@ -148,7 +150,7 @@ def write_open_loop(path: Path, found: OpenLoop) -> None:
     """Write it whole or not at all, its folder too."""
     path.parent.mkdir(parents=True, exist_ok=True)
     episodes = ",\n".join(json.dumps(asdict(episode), allow_nan=False) for episode in found.episodes)
-    head = json.dumps({"scenario": found.scenario, "contender": found.contender})[:-1]
+    head = json.dumps({name: getattr(found, name) for name in NAMES})[:-1]
     replace_file(path, f'{head}, "episodes": [\n{episodes}\n]}}\n'.encode())
 
 
@@ -162,11 +164,11 @@ def read_open_loop(path: Path) -> OpenLoop:
 
 
 def _parsed(data: Any) -> OpenLoop:
-    if not isinstance(data, dict) or set(data) != {"scenario", "contender", "episodes"}:
-        raise ValueError("it must have the keys scenario, contender, episodes")
-    scenario, contender, lines = data["scenario"], data["contender"], data["episodes"]
-    if not isinstance(scenario, str) or not isinstance(contender, str) or not isinstance(lines, list) or not lines:
-        raise ValueError("scenario and contender must be names, and episodes a list of at least one")
+    if not isinstance(data, dict) or set(data) != {*NAMES, "episodes"}:
+        raise ValueError(f"it must have the keys {', '.join(NAMES)}, episodes")
+    names, lines = [data[name] for name in NAMES], data["episodes"]
+    if not all(isinstance(name, str) for name in names) or not isinstance(lines, list) or not lines:
+        raise ValueError(f"{', '.join(NAMES)} must be names, and episodes a list of at least one")
     episodes = []
     for line in lines:
         if not isinstance(line, dict) or set(line) != set(_KEYS):
@@ -175,4 +177,5 @@ def _parsed(data: Any) -> OpenLoop:
         if scores is not None and not isinstance(scores, list):
             raise ValueError("brake_probability must be a list or null")
         episodes.append(OpenEpisode(**{**line, "brake_probability": None if scores is None else tuple(scores)}))
-    return OpenLoop(scenario, contender, tuple(episodes))
+    scenario, contender, radio = names
+    return OpenLoop(scenario, contender, radio, tuple(episodes))

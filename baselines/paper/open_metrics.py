@@ -19,6 +19,7 @@ class OpenScore:
 
     scenario: str
     contender: str
+    radio: str
     training_seeds: int
     episodes: int  # of each training seed
     frames: int  # of each training seed
@@ -46,7 +47,7 @@ def open_score(runs: Mapping[int, OpenLoop], rng: np.random.Generator) -> OpenSc
     frames = int(counts[0].sum())
     messages = sum(episode.messages for run in kept for episode in run)
     return OpenScore(
-        whole[0].scenario, whole[0].contender, len(kept), len(kept[0]), frames,
+        whole[0].scenario, whole[0].contender, whole[0].radio, len(kept), len(kept[0]), frames,
         float(counts[0, :, (0, 2)].sum() / frames), **found,
         average_precision=_average_precision(kept, rng), ad_spread=_spread(by_seed[:, 0]),
         ear_spread=_spread(by_seed[:, 1]),

@@ -56,7 +56,7 @@ def _figure(width: float, height: float, columns: int, **options: Any) -> "tuple
 def safety_plot(path: Path, rows: Mapping[str, Sequence[ClosedRow]], sweeps: Mapping[str, SweepRows]) -> None:
     """One scene: success and collisions against bytes on the air, radio -> rows, and the sweeps of the graph's size.
 
-    Filled: the first radio; hollow: the others, of who sends something. Who sends nothing stands left of the axis.
+    Filled: the first radio; hollow: the others. Who puts nothing on the air stands left, and over the first radio only.
     """
     first, *others = rows
     sending = {radio: [row for row in rows[radio] if row.bytes_per_second] for radio in others}
@@ -77,7 +77,7 @@ def safety_plot(path: Path, rows: Mapping[str, Sequence[ClosedRow]], sweeps: Map
 
 
 def _zone(rows: Sequence[ClosedRow], sweeps: Mapping[str, SweepRows]) -> float:
-    """B/s: left of it stands who sends nothing."""
+    """B/s: left of it stands who puts nothing on the air."""
     swept = [row for rows in sweeps.values() for some in rows.values() for row in some.values()]
     return 0.4 * min([row.bytes_per_second for row in (*rows, *swept) if row.bytes_per_second] or [1000.0])
 
@@ -121,7 +121,7 @@ def _bytes_axis(axis: "Axes", zone: float, what: str) -> None:
     axis.set_xscale("log")
     low, high = zone / 10, 2.0 * axis.get_xlim()[1]
     axis.axvspan(low, zone, color="#f2f2f2", linewidth=0.0, zorder=0)
-    axis.text(zone / 10**0.5, 104, "sends nothing", ha="center", fontsize=8.5, color="#555555")
+    axis.text(zone / 10**0.5, 104, "nothing on air", ha="center", fontsize=8.5, color="#555555")
     axis.set(
         xlim=(low, high), ylim=(-4, 109), yticks=range(0, 101, 20),
         xlabel="on the air, all connected vehicles together, bytes/s",

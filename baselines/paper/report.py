@@ -177,9 +177,9 @@ def _departures(run: Run, findings: Findings) -> str:
     lines = ["## What did not come out as in the paper, and why"]
     if findings.orders:
         lines += [
-            "The orders in closed-loop success. One holds, or its opposite does, where the Wilson intervals are apart and "
-            "the interval of the difference, over training seeds and episodes, leaves zero out; else it is open. Holm "
-            "is over the claims of a scene.",
+            "The orders in closed-loop success. One holds, or its opposite does, where the Wilson intervals are apart "
+            "and the interval of the difference, over training seeds and episodes, leaves zero out; else it is open. "
+            "Holm is over the claims of a scene.",
             tables.order_table(findings.orders),
         ]
     else:
@@ -200,7 +200,8 @@ def _open_loop(findings: Findings) -> str:
         lines += [
             f"### {spoken(scenario)}",
             f"{some.episodes} held-out episodes that the expert drives, {some.frames:,} frames, in "
-            f"{100 * some.brake_share:.1f} % of which it brakes; bootstrap over episodes.",
+            f"{100 * some.brake_share:.1f} % of which it brakes; bootstrap over episodes. Radio: what the contender's "
+            "messages went over; the world is the expert's and the same for all.",
             tables.open_table(scores),
         ]
     return "\n\n".join(lines)

@@ -84,7 +84,7 @@ def _packages(scores: Sequence[OpenScore | None]) -> str:
         return NONE
     means = [score.bytes_per_message for score in there if score.bytes_per_message is not None]
     if not means:
-        return "0 (nothing is sent)"
+        return "0 (nothing on the air)"
     largest = max(score.largest_message or 0 for score in there)
     low, high = f"{min(means):,.0f}", f"{max(means):,.0f}"
     return f"{low if low == high else f'{low} to {high}'} ({largest:,})"
@@ -117,12 +117,12 @@ def _ratio(over: float | None, under: float | None) -> str:
 def open_table(scores: Mapping[str, OpenScore]) -> str:
     """All rows of a scene in open loop."""
     head = (
-        "row", "AD (recall)", "EAR (accuracy)", "precision", "F1", "false brakes", "average precision",
+        "row", "radio", "AD (recall)", "EAR (accuracy)", "precision", "F1", "false brakes", "average precision",
         "AD, training seeds", "EAR, training seeds", "bytes/message", "largest",
     )  # fmt: skip
     rows = [
         [
-            name, *(share(getattr(score, what)) for what in
+            name, score.radio, *(share(getattr(score, what)) for what in
                     ("ad", "ear", "precision", "f1", "false_brake_rate", "average_precision")),
             _spread(score.ad_spread, 1, 3), _spread(score.ear_spread, 1, 3), number(score.bytes_per_message),
             number(score.largest_message),

@@ -123,9 +123,11 @@ def answers_of(policy: Policy, seen: Sequence[Observation], seed: int) -> tuple[
     for start in range(0, len(seen), AT_ONCE):
         part = seen[start : start + AT_ONCE]
         batch = {name: np.stack([observation[name] for observation in part]) for name in part[0]}
-        answers.append(policy.act_batch(batch))
-        if hasattr(policy, "brake_probability"):
+        if hasattr(policy, "brake_probability") and hasattr(policy, "threshold"):
             scores.append(policy.brake_probability(batch))
+            answers.append((scores[-1] >= policy.threshold).astype(np.int64))  # as it decides: one pass is enough
+        else:
+            answers.append(policy.act_batch(batch))
     return np.concatenate(answers), np.concatenate(scores) if scores else None
 
 

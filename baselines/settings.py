@@ -42,8 +42,8 @@ class Settings:
     penetration: float | None = None  # share of the vehicles that is connected; default: two to four
     radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
+    burst: float | None = None  # mean slots in a row that the ego misses of a sender; default: each by itself
     delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own
-    burst: float | None = None  # messages in a row that are lost, on average; 1: each loss by itself, the radio's own
     budget: float | None = None  # bytes of one sender in 0.1 s; a message above is refused whole; default: the radio's
     sensor_noise: float = SensorConfig.noise  # m, standard deviation of each coordinate of a detection
     gnss_noise: float = SensorConfig.gnss_noise  # m, standard deviation of a vehicle's own position
@@ -101,7 +101,7 @@ class Settings:
     def radio_config(self) -> RadioConfig:
         """The preset with what was overridden."""
         rate = None if self.budget is None else 8.0 * self.budget / STEP
-        chosen = {"loss": self.loss, "delay": self.delay, "burst": self.burst, "rate": rate}
+        chosen = {"loss": self.loss, "burst": self.burst, "delay": self.delay, "rate": rate}
         return replace(radio_config(self.radio), **{name: value for name, value in chosen.items() if value is not None})
 
     def seeds(self) -> range:

@@ -130,9 +130,8 @@ def test_every_point_of_a_sweep_is_a_run_that_can_be_made() -> None:
     fields = Settings.__dataclass_fields__
     for point in points():
         assert set(point.overrides) <= set(fields)
-        overrides = {name: value for name, value in point.overrides.items() if name != "burst"}
-        settings = Settings(scenario=("left_turn",), contender=("expert",), **overrides)
-        assert settings.environment("left_turn", shares=True)["depth"] == overrides.get("depth", 15)
+        settings = Settings(scenario=("left_turn",), contender=("expert",), **point.overrides)
+        assert settings.environment("left_turn", shares=True)["depth"] == point.overrides.get("depth", 15)
     assert len({point.folder for point in points()}) == sum(len(sweep.points) for sweep in SWEEPS.values())
 
 

@@ -59,7 +59,8 @@ def completed(settings: Settings, store: Store) -> list[Scorecard]:
 def identity(settings: Settings) -> dict[str, Any]:
     """All that the episodes depend on: settings, models and the code of the scenes; and the command, as a note."""
     names = (
-        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "depth",
+        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
+        "collaborators", "depth",
     )  # fmt: skip
     models = {name: contender_named(name).model for name in settings.contender}
     return {
@@ -108,6 +109,7 @@ def _record(episode: Episode) -> Record:
         int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
         round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
         None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
+        episode.connected, round(episode.hardest_brake, 6),
     )  # fmt: skip
 
 

@@ -117,7 +117,7 @@ class Simulation:
     def step(self, actions: Ints) -> None:
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
         self._live.actions[:] = actions
-        play(self._board.scenes, self._which, self._live.actions, True)
+        play(self._board.shelf, self._which, self._live.actions, True)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_board"}
@@ -130,7 +130,7 @@ class Simulation:
             self._board.put(0, self._live)
 
     def _perceive(self) -> None:
-        play(self._board.scenes, self._which, self._live.actions, False)
+        play(self._board.shelf, self._which, self._live.actions, False)
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on."""

@@ -59,6 +59,8 @@ class Settings:
             names = getattr(self, what)
             if not names or len(set(names)) < len(names):
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
+        if len({folder.name for folder in self.policy}) < len(self.policy):
+            raise ValueError(f"policy folders must have different names, got {' '.join(map(str, self.policy))}")
         check_range("episodes", self.episodes, 1, 10_000_000)
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)

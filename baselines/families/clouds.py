@@ -60,9 +60,8 @@ class CloudFrames:
 
     def batch(self, frames: Ints) -> dict[str, NDArray[Any]]:
         """`clouds` (B, V, N, 3) m and `clouds_mask` (B, V, N), `poses` (B, V, 3), `command` (B, 6), `ego` (B, 4)."""
-        slot, cloud = _spread(self.first_cloud, frames, self.vehicles)
-        place, point = _spread(self.first_point, cloud, self.points)
-        place += np.repeat(slot * self.points, self.first_point[cloud + 1] - self.first_point[cloud])
+        slot, cloud = _spread(self.first_cloud, frames, np.arange(len(frames)) * self.vehicles)
+        place, point = _spread(self.first_point, cloud, slot * self.points)
         slots = len(frames) * self.vehicles
         poses, points = np.zeros((slots, 3), np.float32), np.zeros((slots * self.points, 3), np.float32)
         mask = np.zeros(slots * self.points, np.int8)
@@ -103,8 +102,8 @@ def record_of(looks: Sequence[Seen], labels: Sequence[int], seeds: Sequence[int]
     }
 
 
-def _spread(first: Ints, chosen: Ints, width: int) -> tuple[Ints, Ints]:
-    """For rows first[c] to first[c + 1] of the chosen ones: their places in a padded array, if flat, and they."""
+def _spread(first: Ints, chosen: Ints, begin: Ints) -> tuple[Ints, Ints]:
+    """The rows first[c] to first[c + 1] of the chosen ones, and where each goes if those of c go from its `begin` on."""
     count = first[chosen + 1] - first[chosen]
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    return np.repeat(np.arange(len(chosen)) * width, count) + within, np.repeat(first[chosen], count) + within
+    return np.repeat(begin, count) + within, np.repeat(first[chosen], count) + within

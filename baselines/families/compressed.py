@@ -87,10 +87,8 @@ class CompressedNet(nn.Module):
         chance = torch.Generator().manual_seed(seed)
         self.backbone = Backbone(config.width, config.neighbours, config.levels, 1, chance)
         self.send = Linear(config.width, config.channels, chance)
-        self.pool = nn.Sequential(
-            Linear(config.channels + 3, config.pooled_width, chance), nn.ReLU(),
-            Linear(config.pooled_width, config.pooled_width, chance),
-        )  # fmt: skip
+        self.pool, self.place = (Linear(n, config.pooled_width, chance) for n in (config.channels, 3))
+        self.mix = Linear(config.pooled_width, config.pooled_width, chance)
         self.decide = decision(config.pooled_width, config.mlp_width, chance)
 
     def encode(self, grid: Floats, first: Ints) -> tuple[Floats, Tensor, Ints]:
@@ -104,7 +102,7 @@ class CompressedNet(nn.Module):
         of_voxel, voxel = np.unique(_keys(scene, cell), return_inverse=True)
         at, voxels = torch.from_numpy(voxel.reshape(-1)), len(of_voxel)
         where = mean(torch.from_numpy(position).to(features.dtype), at, voxels) * POSITION_SCALE
-        seen_there = self.pool(torch.cat([most(features, at, voxels), where], dim=1))
+        seen_there = self.mix(functional.relu(self.pool(most(features, at, voxels)) + self.place(where)))
         scenes = torch.from_numpy(of_voxel >> _SCENE)
         told = [functional.relu(most(seen_there, scenes, len(command))), command.to(features.dtype)]
         logits: Tensor = self.decide(torch.cat(told, dim=1))
@@ -160,9 +158,9 @@ class LearnedFeatures:
     def encode(self, clouds: Sequence[Floats]) -> list[bytes]:
         """A message for each of a batch of clouds (n, 3) m, ground and all; in double, so none depends on another."""
         few = [thinned(cloud, self._network.config.points) for cloud in clouds]
-        mask = np.arange(self._network.config.points) < np.array([len(cloud) for cloud in few])[:, None]
+        mask = np.arange(self._network.config.points) < np.array([len(cloud) for cloud in few], int)[:, None]
         padded = np.zeros((*mask.shape, 3))
-        padded[mask] = np.concatenate(few)
+        padded[mask] = np.concatenate([np.zeros((0, 3)), *few])
         with torch.inference_mode():
             position, features, first = self._network.encode(*in_order(padded, mask)[:2])
         said = features.numpy()

@@ -159,8 +159,10 @@ def cloud_of(first: Ints) -> Tensor:
 def most(x: Tensor, group: Tensor, groups: int) -> Tensor:
     """The largest of every feature (N, D) in each of G groups (N,), (G, D); zero for a group without members."""
     row = torch.from_numpy(largest(x.detach().numpy(), group.numpy(), groups))
-    empty = row < 0
-    return x.gather(0, row.clamp(min=0)).masked_fill(empty, 0.0) if len(x) else x.new_zeros(row.shape)
+    if not len(x):
+        return x.new_zeros(row.shape)
+    empty = row[:, :1] < 0
+    return x.gather(0, row.clamp_(min=0)).masked_fill(empty, 0.0) if bool(empty.any()) else x.gather(0, row)
 
 
 def mean(x: Tensor, group: Tensor, groups: int) -> Tensor:

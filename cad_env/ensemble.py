@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cad_env.cloud import CloudConfig
 from cad_env.live import Board, play
 from cad_env.planner import Truths
+from cad_env.sharing import exchange
 from cad_env.simulation import COLLISION, OUTCOMES, REFUSALS, SUCCESS, Setup, Simulation
 from cad_env.types import Bools, Ints, Observation
 
@@ -18,13 +20,15 @@ class Ensemble:
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
-        self._board = Board(len(setups))
+        self._board = Board(len(setups), _one_cloud(setups))
         self.simulations = [Simulation(setup, self._board, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
         # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
         self.observations: Observation = {
             name: part[:, 0] for name, part in zip(self._board.views._fields, self._board.views, strict=True)
         }
+        if self._board.clouds is not None:
+            self.observations.update(self._board.clouds._asdict())
 
     @property
     def scenes(self) -> Any:
@@ -46,6 +50,9 @@ class Ensemble:
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
         play(self._board.scenes, which, actions, True)
+        if self._board.clouds is not None:
+            every = [self.simulations[place].sharing for place in which.tolist()]
+            exchange([sharing for sharing in every if sharing is not None])
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""
@@ -99,6 +106,15 @@ class Ensemble:
         for place in np.flatnonzero(which):
             lists[place] = self.simulations[place].object_lists()
         return masked({"object_lists": lists}, which)
+
+
+def _one_cloud(setups: Sequence[Setup]) -> CloudConfig | None:
+    """How all the scenes share points, or None; ValueError if their observations would not be of one shape."""
+    clouds = [setup.cloud for setup in setups]
+    shapes = {cloud and (cloud.merged, cloud.codec.width) for cloud in clouds}
+    if len(shapes) > 1:
+        raise ValueError(f"scenes side by side must all share graphs or clouds of one shape, got {shapes}")
+    return clouds[0] if clouds else None
 
 
 def masked(values: dict[str, NDArray[Any]], which: Bools) -> dict[str, Any]:

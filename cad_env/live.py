@@ -11,11 +11,12 @@ from numba import typeof
 from numba.typed import List
 
 from cad_env.borrowing import borrowed, lend
+from cad_env.cloud import CloudConfig, CloudView, empty_cloud_view
 from cad_env.compiled import compiled, inlined
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link
 from cad_env.pipeline.sense import Sensing
-from cad_env.pipeline.step import Fleet, run
+from cad_env.pipeline.step import Fleet, Report, run
 from cad_env.types import Floats, Ints
 from cad_env.world.clearance import time_to_contact
 from cad_env.world.state import Routes, World
@@ -64,12 +65,13 @@ class LiveScene(NamedTuple):
 class Board:
     """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
 
-    def __init__(self, places: int) -> None:
+    def __init__(self, places: int, cloud: CloudConfig | None = None) -> None:
         self.told = Told(
             np.zeros(places, np.int8), *(np.zeros(places) for _ in range(4)),
             *(np.zeros(places, np.int64) for _ in range(6)),
         )  # fmt: skip
         self.views: View = empty_view(places, 1)  # what each ego decides on
+        self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
         self._owners: dict[int, LiveScene] = {}  # of the arrays that the list below borrows
         self.scenes: Any = None  # the typed list, once there is a record to tell its type
 
@@ -80,6 +82,10 @@ class Board:
     def views_at(self, place: int) -> View:
         """The part of the scene at `place`, (1, ...)."""
         return View(*(part[place] for part in self.views))
+
+    def clouds_at(self, place: int) -> CloudView | None:
+        """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
+        return self.clouds and CloudView(*(part[place] for part in self.clouds))
 
     def put(self, place: int, scene: LiveScene) -> None:
         """Let a new scene take a place."""
@@ -138,6 +144,12 @@ def tell(scene: LiveScene) -> None:
     told.reward[0] = (world.progress[0] - told.progress[0]) / scene.way + FINAL_REWARDS[outcome]
     told.progress[0] = world.progress[0]
     told.min_ttc[0] = min(told.min_ttc[0], time_to_contact(world, 0))
+    tell_air(told, air)
+
+
+@inlined
+def tell_air(told: Told, air: Report) -> None:
+    """Write down what the newest step put on the air."""
     told.bytes_sent[0] = told.largest_message[0] = told.messages_sent[0] = told.refused[0] = 0
     for v in range(air.sent_bytes.shape[0]):
         told.bytes_sent[0] += air.sent_bytes[v]

@@ -93,7 +93,7 @@ def drive(settings: Settings, task: Task) -> list[Record]:
     contender = contender_named(task.contender)
     policy = contender.make_policy(settings.models(task.scenario))
     abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
-    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender.shares))
+    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender))
     episodes = rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard])
     records = {episode.seed: _record(episode) for episode in episodes}
     return [records[seed] for seed in task.seeds]

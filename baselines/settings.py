@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.cluster import check_ray
-from baselines.contenders import CONTENDERS, contender_named, shipped_models
+from baselines.contenders import SHIPPED, Contender, contender_named, shipped_models
 from baselines.grid import Task, grid, shard_of
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
 from cad_env.types import FRAMES
@@ -27,8 +27,8 @@ class Settings:
     """
 
     scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
-    contender: tuple[str, ...] = tuple(CONTENDERS)  # who drives, in the order of the table
-    policy: Path | None = None  # folder of the trained models `shared` and `own`; default: those of the package
+    contender: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/rows.py has more
+    policy: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
     episodes: int = 500  # per scenario and contender
     first_seed: int = 1_000_000  # training never uses seeds from a million on
     jobs: int = 1  # processes
@@ -71,7 +71,7 @@ class Settings:
         from cad_env.simulation import setup_from  # here, because highway-env takes a second that --help need not wait
 
         for scenario in self.scenarios():
-            setup_from(self.environment(scenario, shares=True))
+            setup_from(self._environment(scenario, self.radio_config(), self.depth))
 
     def scenarios(self) -> tuple[str, ...]:
         """The names of the scenarios, in the order of the table."""
@@ -79,13 +79,18 @@ class Settings:
 
         return tuple(SCENARIOS) if self.scenario == ALL else self.scenario
 
-    def environment(self, scenario: str, shares: bool) -> dict[str, Any]:
-        """The options of the environment for a contender that shares, or does not."""
+    def environment(self, scenario: str, contender: Contender) -> dict[str, Any]:
+        """The options of the environment for a contender: what it shares, and what its network needs."""
+        radio = self.radio_config() if contender.shares else RADIO_PRESETS["none"]
+        options = self._environment(scenario, radio, min(self.depth, contender.depth))
+        return {**options, **contender.needs(self.models(scenario))}
+
+    def _environment(self, scenario: str, radio: RadioConfig, depth: int) -> dict[str, Any]:
         return {
             "scenario": scenario,
-            "radio": self.radio_config() if shares else RADIO_PRESETS["none"],
+            "radio": radio,
             "sensor": SensorConfig(noise=self.sensor_noise, gnss_noise=self.gnss_noise),
-            "depth": self.depth,
+            "depth": depth,
             "traffic": self.traffic,
             "penetration": self.penetration,
         }
@@ -104,8 +109,8 @@ class Settings:
         return grid(self.scenarios(), self.contender, self.seeds(), self.shard)
 
     def models(self, scenario: str) -> Path:
-        """The folder of trained models for a scenario."""
-        return shipped_models(scenario) if self.policy is None else self.policy
+        """The folder of trained models for a scenario; of the first training seed, where there are several."""
+        return self.policy[0] if self.policy else shipped_models(scenario)
 
     def folder(self) -> Path:
         """Where the results go."""

@@ -221,4 +221,4 @@ def _relative(pose: Floats, own: Floats) -> Floats:
     return np.array([x * cos + y * sin, y * cos - x * sin, pose[2] - own[2]])
 
 
-COMPRESSED = CompressedFamily()
+FAMILY = COMPRESSED = CompressedFamily()

@@ -118,4 +118,4 @@ class PointTransformerFamily:
         return CloudDriver(network, threshold)
 
 
-POINT_TRANSFORMER = PointTransformerFamily()
+FAMILY = POINT_TRANSFORMER = PointTransformerFamily()

@@ -103,7 +103,7 @@ def record_of(looks: Sequence[Seen], labels: Sequence[int], seeds: Sequence[int]
 
 
 def _spread(first: Ints, chosen: Ints, begin: Ints) -> tuple[Ints, Ints]:
-    """The rows first[c] to first[c + 1] of the chosen ones, and where each goes if those of c go from its `begin` on."""
+    """Where the rows first[c] to first[c + 1] of the chosen ones go, from the `begin` of each on, and they."""
     count = first[chosen + 1] - first[chosen]
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     return np.repeat(begin, count) + within, np.repeat(first[chosen], count) + within

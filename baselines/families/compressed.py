@@ -72,7 +72,8 @@ class CompressedConfig:
     @property
     def keypoints(self) -> int:
         """That a vehicle sends at most."""
-        return -(-self.points // SHARE**self.levels)
+        keypoints: int = -(-self.points // SHARE**self.levels)
+        return keypoints
 
 
 PAPER_SIZE = CompressedConfig(points=2048, neighbours=16, width=32, levels=2, pooled_width=128, mlp_width=128)
@@ -190,9 +191,10 @@ class CompressedFamily:
 
     def look(self, simulation: Simulation, observation: Observation) -> Seen:
         """The clouds of the ego and of the nearest others that its radio reaches."""
-        own, radio = simulation.clouds[0], simulation.setup.radio
-        reach = radio.range if radio.budget > 0 else -1.0
-        others = sorted(simulation.clouds[1:], key=lambda other: _apart(own, other))
+        clouds, radio = simulation.clouds, simulation.setup.radio
+        assert clouds is not None, "the environment of this family shares points"
+        own, reach = clouds[0], radio.range if radio.budget > 0 else -1.0
+        others = sorted(clouds[1:], key=lambda other: _apart(own, other))
         near = [own, *(other for other in others if _apart(own, other) <= reach)][:VEHICLES]
         pose = np.stack([_relative(other.pose, own.pose) for other in near])
         return seen([cloud.thinned for cloud in near], pose, KEPT, observation)

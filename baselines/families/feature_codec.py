@@ -39,7 +39,7 @@ def written(position: NDArray[np.floating], features: NDArray[np.floating]) -> b
     count, width = features.shape
     place = np.clip(np.rint(position * CENTIMETRES), -REACH, REACH).astype("<i2")
     said = np.clip(features, -LARGEST, LARGEST).astype("<f2")
-    message = _HEADER.pack(VERSION, width - 1, count) + place.tobytes() + said.tobytes()
+    message: bytes = _HEADER.pack(VERSION, width - 1, count) + place.tobytes() + said.tobytes()
     return message + _CRC.pack(zlib.crc32(message))
 
 

@@ -22,6 +22,8 @@ from cad_env.pipeline.points import RawPoints
 from cad_env.simulation import Simulation
 from cad_env.types import Ints, Observation
 
+_SIZES = {"merged": 65_536, "neighbours": 64, "width": 256, "levels": 5, "mlp_width": 1024}
+
 
 @dataclass(frozen=True)
 class PointTransformerConfig:
@@ -39,7 +41,7 @@ class PointTransformerConfig:
     mlp_width: int = 32
 
     def __post_init__(self) -> None:
-        check_sizes(self, {"merged": 65_536, "neighbours": 64, "width": 256, "levels": 5, "mlp_width": 1024}, {"levels": 0})
+        check_sizes(self, _SIZES, {"levels": 0})
 
 
 PAPER_SIZE = PointTransformerConfig(merged=4096, neighbours=16, width=32, levels=4)

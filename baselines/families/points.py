@@ -7,6 +7,7 @@ batch normalisation would break that: features are normalised by layer.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -88,7 +89,8 @@ class VectorAttention(nn.Module):
         placed = self.place(offset)
         key, value = functional.embedding(near, self.key_value(x)).chunk(2, dim=-1)
         alpha = torch.softmax(self.weigh(self.query(x).unsqueeze(1) - key + placed), dim=1)
-        return (alpha * (value + placed)).sum(1)
+        heard: Tensor = (alpha * (value + placed)).sum(1)
+        return heard
 
 
 class Block(nn.Module):
@@ -103,7 +105,8 @@ class Block(nn.Module):
     def forward(self, x: Tensor, offset: Tensor, near: Tensor) -> Tensor:
         """Features (P, D) after the block."""
         heard = self.attention(functional.relu(self.enter(self.norm(x))), offset, near)
-        return x + self.leave(functional.relu(heard))
+        after: Tensor = x + self.leave(functional.relu(heard))
+        return after
 
 
 class TransitionDown(nn.Module):
@@ -128,15 +131,12 @@ class Backbone(nn.Module):
         self.width = widths[-1]
         self.lift = nn.Sequential(Linear(3, width, chance), nn.ReLU(), Linear(width, width, chance))
         self.blocks = nn.ModuleList(Block(of, chance) for of in widths)
-        self.downs = nn.ModuleList(
-            TransitionDown(of, to, chance) for of, to in zip(widths, widths[1:], strict=False)
-        )  # fmt: skip
+        self.downs = nn.ModuleList(TransitionDown(of, to, chance) for of, to in pairwise(widths))
 
     def forward(self, grid: Floats, first: Ints) -> tuple[Level, Tensor]:
         """The last level and its features (P, D), for points in order: grid (P, 3) cm, first (B + 1,)."""
         here = level(grid, first, self.k)
-        weight = self.lift[0].weight
-        x = self.lift(here.position(weight) * POSITION_SCALE)
+        x = self.lift(here.position(next(self.parameters())) * POSITION_SCALE)
         x = self.blocks[0](x, *self._edges(here, x))
         for down, block in zip(self.downs, self.blocks[1:], strict=True):
             below, kept = here.thinner(self.k)

@@ -133,7 +133,7 @@ def _is_large(row: str) -> bool:
 
 def _own_radio(row: str) -> str:
     """The radio that carries what a row sends."""
-    return SPARE if _is_large(row) else RADIO
+    return (ROWS[row].radio if row in ROWS else None) or RADIO
 
 
 def work_of(plan: Plan, task: Task) -> float:

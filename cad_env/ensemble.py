@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cad_env.cloud import CloudConfig
 from cad_env.live import Board, Truths, play
+from cad_env.sharing import exchange
 from cad_env.simulation import COLLISION, OUTCOMES, REFUSALS, SUCCESS, Setup, Simulation
 from cad_env.types import Bools, Ints, Observation
 
@@ -17,13 +19,17 @@ class Ensemble:
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
-        self.board = Board(len(setups))  # for compiled loops of one's own: see `cad_env.live.scene_at`
+        self.board = Board(
+            len(setups), _one_cloud(setups)
+        )  # for compiled loops of one's own: see `cad_env.live.scene_at`
         self.simulations = [Simulation(setup, self.board, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
         # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
         self.observations: Observation = {
             name: part[:, 0] for name, part in zip(self.board.views._fields, self.board.views, strict=True)
         }
+        if self.board.clouds is not None:
+            self.observations.update(self.board.clouds._asdict())
 
     def __len__(self) -> int:
         return len(self.simulations)
@@ -40,6 +46,9 @@ class Ensemble:
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
         play(self.board.shelf, which, actions, True)
+        if self.board.clouds is not None:
+            every = [self.simulations[place].sharing for place in which.tolist()]
+            exchange([sharing for sharing in every if sharing is not None])
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""
@@ -93,6 +102,15 @@ class Ensemble:
         for place in np.flatnonzero(which):
             lists[place] = self.simulations[place].object_lists()
         return masked({"object_lists": lists}, which)
+
+
+def _one_cloud(setups: Sequence[Setup]) -> CloudConfig | None:
+    """How all the scenes share points, or None; ValueError if their observations would not be of one shape."""
+    clouds = [setup.cloud for setup in setups]
+    shapes = {cloud and (cloud.merged, cloud.codec.width) for cloud in clouds}
+    if len(shapes) > 1:
+        raise ValueError(f"scenes side by side must all share graphs or clouds of one shape, got {shapes}")
+    return clouds[0] if clouds else None
 
 
 def masked(values: dict[str, NDArray[Any]], which: Bools) -> dict[str, Any]:

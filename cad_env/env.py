@@ -13,26 +13,25 @@ from cad_env.config import check_names
 from cad_env.drawing.framing import screen
 from cad_env.drawing.layers import LAYERS, checked_layers
 from cad_env.drawing.viewer import SceneViewer
-from cad_env.pipeline.observe import observation_space
 from cad_env.planner import Truth
 from cad_env.scenarios import scenario_named
-from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
+from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from, space_of
 from cad_env.types import BRAKE, GO, Floats, Observation
 from cad_env.views import WorldRoad
 
 RENDER_MODES = ("human", "rgb_array")
-_SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth")
+_SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud")
 
 
 class CADEnv(AbstractEnv):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
-    dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `traffic` (none, light or dense),
-    `penetration` (share of the vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is
-    drawn from), `object_lists` (True adds to info what each connected vehicle tracks), `layers` (names of what pictures
-    show over highway-env's view). The reward of a step is the share of the way to the goal covered in it, +1 on
-    arrival, -1 on a collision.
+    dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud` (CloudConfig or dict:
+    points are shared, not graphs), `traffic` (none, light or dense), `penetration` (share of the vehicles that is
+    connected, None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists` (True adds to info
+    what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's view). The reward of a
+    step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})
@@ -41,6 +40,7 @@ class CADEnv(AbstractEnv):
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012  Gymnasium's own form
+    simulation: Simulation
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
@@ -76,12 +76,15 @@ class CADEnv(AbstractEnv):
         if "scenario" in given:
             given = {**screen(scenario_named(given["scenario"]).map), **given}
         super().configure(given)
-        self.simulation = Simulation(setup_from({k: v for k, v in self.config.items() if k in _SETUP}))
+        setup = setup_from({k: v for k, v in self.config.items() if k in _SETUP})
+        if hasattr(self, "simulation") and self.simulation.setup.cloud != setup.cloud:
+            raise ValueError(f"cloud is a part of the observation and cannot change later, got {setup.cloud!r}")
+        self.simulation = Simulation(setup)
 
     def define_spaces(self) -> None:
         """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""
         self.observation_type = self.action_type = None
-        self.observation_space: spaces.Dict = observation_space()
+        self.observation_space: spaces.Dict = space_of(self.simulation.setup)
         self.action_space: spaces.Discrete = spaces.Discrete(2)
 
     def reset(

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import typeof
 
-from cad_env.compiled import compiled, inlined_part
+from cad_env.cloud import CloudConfig, CloudView, empty_cloud_view
+from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.config import RadioConfig, SensorConfig
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
-from cad_env.pipeline.step import Fleet, new_fleet, run
+from cad_env.pipeline.step import Fleet, Report, new_fleet, run
 from cad_env.planner import Rule, decide_on_truth
 from cad_env.shelf import new_shelf, put, take
 from cad_env.types import FRAMES, Floats, Ints
@@ -66,9 +67,10 @@ class LiveScene(NamedTuple):
 class Board:
     """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
 
-    def __init__(self, places: int) -> None:
+    def __init__(self, places: int, cloud: CloudConfig | None = None) -> None:
         self.told = _nothing_told(places)
         self.views: View = empty_view(places, 1)  # what each ego decides on
+        self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
         self._scenes: dict[int, LiveScene] = {}  # whose arrays the shelf borrows
         self.shelf: Any = new_shelf(KIND, places, self._scenes)
 
@@ -79,6 +81,10 @@ class Board:
     def views_at(self, place: int) -> View:
         """The part of the scene at `place`, (1, ...)."""
         return View(*(part[place] for part in self.views))
+
+    def clouds_at(self, place: int) -> CloudView | None:
+        """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
+        return self.clouds and CloudView(*(part[place] for part in self.clouds))
 
     def put(self, place: int, scene: LiveScene) -> None:
         """Let a new scene take a place."""
@@ -155,6 +161,12 @@ def tell(scene: LiveScene) -> None:
     told.reward[0] = (world.progress[0] - told.progress[0]) / scene.way + FINAL_REWARDS[outcome]
     told.progress[0] = world.progress[0]
     told.min_ttc[0] = min(told.min_ttc[0], time_to_contact(world, 0))
+    tell_air(told, air)
+
+
+@inlined
+def tell_air(told: Told, air: Report) -> None:
+    """Write down what the newest step put on the air."""
     told.bytes_sent[0] = told.largest_message[0] = told.messages_sent[0] = told.refused[0] = 0
     for v in range(air.sent_bytes.shape[0]):
         told.bytes_sent[0] += air.sent_bytes[v]

@@ -64,6 +64,8 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         self.layers = checked_layers(options.pop("layers", tuple(LAYERS)))
         if isinstance(max_cycles, bool) or not isinstance(max_cycles, int) or max_cycles < 1:
             raise ValueError(f"max_cycles must be a whole number of decisions from 1, got {max_cycles!r}")
+        if options.get("cloud") is not None:
+            raise ValueError(f"cloud is for one ego (CADEnv, CADVectorEnv) only, got {options['cloud']!r}")
         ranges = options.pop("ranges", {})
         if isinstance(ranges, Mapping):
             ranges = {"collaborators": COLLABORATORS, **ranges}

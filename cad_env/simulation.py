@@ -11,12 +11,14 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
 from cad_env.chance import stream_key
+from cad_env.cloud import CloudConfig, OwnCloud, cloud_boxes, cloud_config
 from cad_env.compiled import announce_compilation
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
 from cad_env.live import FINAL_REWARDS, Board, LiveScene, play, verdict
-from cad_env.pipeline.observe import as_observation, empty_view
+from cad_env.pipeline.observe import as_observation, empty_view, observation_space
 from cad_env.pipeline.radio import REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
 from cad_env.pipeline.step import Fleet, new_fleet
@@ -25,6 +27,7 @@ from cad_env.rows import as_graph
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
+from cad_env.sharing import MAX_RANGE, Sharing, exchange
 from cad_env.types import FRAMES, STEP, Floats, Graph, Ints, Observation
 from cad_env.world.state import World
 
@@ -45,24 +48,27 @@ class Setup:
     sensor: SensorConfig = field(default_factory=SensorConfig)
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
+    cloud: CloudConfig | None = None  # given: points are shared instead of graphs
 
     def __post_init__(self) -> None:
         check_range("depth", self.depth, 1, FRAMES)
         if int(self.depth) != self.depth:
             raise ValueError(f"depth must be a whole number, got {self.depth!r}")
+        if self.cloud is not None:
+            check_range("sensor range with clouds", self.sensor.range, 1.0, MAX_RANGE)
         Traffic(self.traffic, self.penetration)
         scenario_named(self.scenario).configured(dict(self.ranges))
 
 
 def setup_from(options: Mapping[str, Any]) -> Setup:
-    """A Setup from keyword arguments: radio by preset, record or dict, sensor by record or dict.
+    """A Setup from keyword arguments: radio by preset, record or dict, sensor and cloud by record or dict.
 
     >>> setup_from({"radio": "cv2x"}).radio.budget
     90000.0
     >>> setup_from({"radoi": "cv2x"})
     Traceback (most recent call last):
     ...
-    ValueError: unknown option radoi='cv2x': choose among depth, penetration, radio, ranges, scenario, ...
+    ValueError: unknown option radoi='cv2x': choose among cloud, depth, penetration, radio, ranges, scenario, ...
     """
     check_names("option", dict(options), [f.name for f in fields(Setup)])
     given = dict(options)
@@ -72,11 +78,17 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
             given[name] = kind(**given[name])
     if "radio" in given:
         given["radio"] = radio_config(given["radio"])
+    given["cloud"] = cloud_config(given.get("cloud"))
     if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
         raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
     if "ranges" in given and not isinstance(given["ranges"], Mapping):
         raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
     return Setup(**given)
+
+
+def space_of(setup: Setup) -> spaces.Dict:
+    """The space of the ego's observation."""
+    return spaces.Dict({**observation_space().spaces, **cloud_boxes(setup.cloud)})
 
 
 class Simulation:
@@ -89,9 +101,13 @@ class Simulation:
         self.ranges = self.scenario.configured(dict(setup.ranges))
         self.traffic = Traffic(setup.traffic, setup.penetration)
         self._sensor = sensing(setup.sensor)
-        self._link = link_of(setup.radio)
-        self._board = board or Board(1)
+        self._board = board or Board(1, setup.cloud)
         self._place, self._which = place, np.array([place])
+        link, shown = link_of(setup.radio), self._board.clouds_at(place)
+        self.sharing: Sharing | None = None
+        if setup.cloud is not None and shown is not None:  # points are on the air, and graphs are not
+            self.sharing, link = Sharing(setup.cloud, link, shown), link_of(radio_config("none"))
+        self._link = link
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
         """Begin the episode of a seed. `receivers`: how many of the connected, in order, observe and decide."""
@@ -112,12 +128,15 @@ class Simulation:
             float(goal - self.world.progress[0]), told, np.zeros(vehicles),
         )  # fmt: skip
         self._board.put(self._place, self._live)
+        if self.sharing is not None:
+            self.sharing.start(self._live, seed)
         self._perceive()
 
     def step(self, actions: Ints) -> None:
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
         self._live.actions[:] = actions
         play(self._board.shelf, self._which, self._live.actions, True)
+        self._exchange()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_board"}
@@ -131,10 +150,18 @@ class Simulation:
 
     def _perceive(self) -> None:
         play(self._board.shelf, self._which, self._live.actions, False)
+        self._exchange()
+
+    def _exchange(self) -> None:
+        if self.sharing is not None:
+            exchange([self.sharing])
 
     def observation(self, agent: int) -> Observation:
-        """What receiver `agent` decides on."""
-        return as_observation(_at(self.fleet.views, agent))
+        """What receiver `agent` decides on; the ego, number 0, is the only one that is shown clouds."""
+        seen = as_observation(_at(self.fleet.views, agent))
+        if self.sharing is not None and agent == 0:
+            seen.update({name: part.copy() for name, part in self.sharing.view._asdict().items()})
+        return seen
 
     def observations(self) -> list[Observation]:
         """What every receiver decides on, in their order: one copy of each part for all, and a row of it for each."""
@@ -197,9 +224,16 @@ class Simulation:
 
         Computed anew when asked, as `deliver` did: nothing is kept of it.
         """
+        if self.sharing is not None:
+            return self.sharing.arrival(sender, receiver)
         air = self.fleet.air
         end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
         return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])
+
+    @property
+    def clouds(self) -> list[OwnCloud] | None:
+        """Of each connected vehicle, ego first, its thinned points and its pose now; None where graphs are shared."""
+        return None if self.sharing is None else self.sharing.own_clouds()
 
     def own_graph(self, agent: int) -> Graph:
         """What connected vehicle `agent` knows by itself."""

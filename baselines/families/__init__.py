@@ -12,6 +12,8 @@ FAMILIES: Mapping[str, str] = MappingProxyType(  # name -> module
     {
         "stgraph": "policies.stgraph_family",
         "command": "baselines.families.command",
+        "point_transformer": "baselines.families.point_transformer",
+        "compressed": "baselines.families.compressed",
     }
 )
 

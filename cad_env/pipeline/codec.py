@@ -30,6 +30,7 @@ from cad_env.pipeline.codec_bits import (
     REACH,
     TRUNCATED,
     VARINT_BYTES,
+    DecodeError,
     crc32,
     frames_seen,
     named_before,
@@ -87,10 +88,6 @@ REASONS = (
     "a constant height that is spelt out",
     "bytes after the last track",
 )
-
-
-class DecodeError(ValueError):
-    """These bytes are not a message that `encode` writes."""
 
 
 @compiled

@@ -38,6 +38,10 @@ def _crc_tables() -> Ints:
 _TABLE = _crc_tables()
 
 
+class DecodeError(ValueError):
+    """These bytes are not a message that the encoder of their kind writes."""
+
+
 @compiled
 def crc32(buffer: Bytes, length: int) -> int:
     """The CRC-32 of buffer[:length], as zlib counts it; eight bytes at a time, for one look-up waits on the last."""

@@ -1,0 +1,163 @@
+"""The exchange of points: what every connected vehicle casts goes through a codec, over the radio, and to the ego.
+
+It takes the place of sending graphs, after the compiled step has moved the world and filled in everybody's fixes:
+
+    cast -> encode -> envelope -> radio -> envelope opened -> decode -> merge -> observe
+
+A message that does not arrive is not made up for: its sender's points are absent in that step (single-frame sharing).
+The radio keeps to the rules, and to the chance, of `pipeline.radio`: what would be lost of graphs is lost of points.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cad_env.chance import stream_key
+from cad_env.cloud import CloudConfig, CloudView, OwnCloud
+from cad_env.live import LiveScene, tell_air
+from cad_env.pipeline.cast import cast, rays_of
+from cad_env.pipeline.codec_bits import DecodeError
+from cad_env.pipeline.envelope import SIZE, Envelope, opened, seal
+from cad_env.pipeline.observe import HORIZON
+from cad_env.pipeline.points import KEPT, thinned
+from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, Link, fate_at, refusal
+from cad_env.pipeline.step import RADIO
+from cad_env.types import FRAMES, STEP, Floats
+
+MAX_RANGE = 300.0  # m of the sensor: the coordinates of raw points are two bytes of centimetres
+BATCH = 64  # clouds in one call of a codec; a thousand at once would not fit into memory
+
+
+class Sent(NamedTuple):
+    """What V vehicles did in one step."""
+
+    place: Floats  # (V, 2) m, where they were
+    message: list[bytes | None]  # what they put on the air, None if it was refused
+
+
+class Sharing:
+    """The clouds of one episode: what is on the air, and what the ego is shown of them."""
+
+    def __init__(self, config: CloudConfig, link: Link, view: CloudView) -> None:
+        self.config, self.link, self.view = config, link, view
+        self._rays = rays_of(config.azimuths, config.beams)
+
+    def start(self, scene: LiveScene, seed: int) -> None:
+        """Begin an episode: nothing is on the air."""
+        self._scene, self._key = scene, stream_key(seed, "cast")
+        self._air: dict[int, Sent] = {}  # by step, the newest `delay` + 1
+
+    @property
+    def step(self) -> int:
+        """Decisions since the start."""
+        return int(self._scene.clock[0])
+
+    def speakers(self) -> range:
+        """Whose clouds are wanted: without a budget nothing goes on the air, and only the ego sees its own."""
+        return range(len(self._scene.fleet.rows) if self.link.budget > 0.0 else 1)
+
+    def cloud(self, v: int) -> Floats:
+        """(n, 3) m what connected vehicle v's lidar reports now, in its own frame."""
+        scene, fleet = self._scene, self._scene.fleet
+        cloud = np.empty((self.config.azimuths * self.config.beams, 3))
+        row = int(fleet.rows[v])
+        count = cast(scene.world, fleet.outlines, row, scene.sensor, self._key, self.step, self._rays, cloud)
+        return cloud[:count]
+
+    def own_clouds(self) -> list[OwnCloud]:
+        """What each connected vehicle has for itself, thinned to what a message decodes to, at least to KEPT."""
+        trail, most = self._scene.fleet.trail, max(KEPT, self.config.codec.most)
+        return [OwnCloud(thinned(self.cloud(v), most), trail[v, FRAMES - 1].copy()) for v in range(len(trail))]
+
+    def send(self, contents: Sequence[bytes]) -> None:
+        """Put on the air what the codec wrote of every speaker's cloud, as far as the budget goes."""
+        fleet, step = self._scene.fleet, self.step
+        message: list[bytes | None] = []
+        for v in range(len(fleet.rows)):
+            size = SIZE + len(contents[v]) if v < len(contents) else 0
+            reason = int(refusal(self.link.budget, 0, size))
+            fleet.report.refusal[v], fleet.report.sent_bytes[v] = reason, size if reason == ACCEPTED else 0
+            x, y, heading = fleet.trail[v, FRAMES - 1].tolist()
+            said = Envelope(v, STEP * step, (x, y, heading), contents[v] if v < len(contents) else b"")
+            message.append(seal(said) if reason == ACCEPTED else None)
+        self._air = {sent: what for sent, what in self._air.items() if step - self.link.delay <= sent < step}
+        self._air[step] = Sent(self._scene.world.position[fleet.rows], message)
+
+    def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
+        """What becomes, in this step, of a sender's message at a receiver (see radio.fate), and its bytes."""
+        step = self.step - self.link.delay
+        sent = self._air.get(step)
+        message = None if sent is None or sender == receiver else sent.message[sender]
+        if sent is None or message is None:
+            return NOT_SENT, 0
+        dx, dy = (sent.place[receiver] - sent.place[sender]).tolist()
+        end = fate_at(self.link, self._scene.keys[RADIO], math.hypot(dx, dy), step, sender, receiver, 0)
+        return int(end), len(message)
+
+    def receive(self) -> list[tuple[Floats, tuple[float, float, float]]]:
+        """What reaches the ego in this step: points (k, 3 + W) with the fix of their sender, by sender."""
+        report, heard = self._scene.fleet.report, []
+        report.received_bytes[0] = report.lost[0] = 0
+        sent = self._air.get(self.step - self.link.delay)
+        for sender in range(1, len(self._scene.fleet.rows)):
+            end, _ = self.arrival(sender, 0)
+            report.lost[0] += end == LOST
+            message = sent.message[sender] if sent is not None and end == REACHES else None
+            if message is None:
+                continue
+            try:
+                envelope = opened(message)
+                points = self.config.codec.decode(envelope.content)
+            except DecodeError:
+                continue
+            report.received_bytes[0] += len(message)
+            heard.append((points, envelope.pose))
+        return heard
+
+    def show(self, own: Floats, heard: Sequence[tuple[Floats, tuple[float, float, float]]]) -> None:
+        """Fill the view: own points first, then the others', placed by the fixes; of too many, every so many."""
+        x, y, heading = self._scene.fleet.trail[0, FRAMES - 1].tolist()
+        points = np.concatenate([own, *(_placed(cloud, pose, (x, y, heading)) for cloud, pose in heard)])
+        points = points[(np.abs(points[:, :3]) <= HORIZON).all(axis=1)]
+        shown = min(len(points), self.config.merged)
+        chosen = np.arange(shown) * len(points) // max(shown, 1)
+        self.view.cloud[:], self.view.cloud_mask[:] = 0.0, 0
+        self.view.cloud[:shown] = np.clip(points[chosen], -HORIZON, HORIZON)
+        self.view.cloud_mask[:shown] = 1
+
+
+def exchange(sharings: Sequence[Sharing]) -> None:
+    """One step's exchange in every one of these episodes; clouds of one codec are encoded together."""
+    speakers = [(sharing, v) for sharing in sharings for v in sharing.speakers()]
+    contents = _encoded(speakers)
+    for sharing in sharings:
+        said = [contents[id(sharing), v] for v in sharing.speakers()]
+        sharing.send(said)
+        sharing.show(sharing.config.codec.decode(said[0]), sharing.receive())
+        tell_air(sharing._scene.told, sharing._scene.fleet.report)
+
+
+def _encoded(speakers: Sequence[tuple[Sharing, int]]) -> dict[tuple[int, int], bytes]:
+    """What the codecs write of the clouds of (episode, vehicle), by them."""
+    contents: dict[tuple[int, int], bytes] = {}
+    for codec in {id(sharing.config.codec): sharing.config.codec for sharing, _ in speakers}.values():
+        ours = [(sharing, v) for sharing, v in speakers if sharing.config.codec is codec]
+        for start in range(0, len(ours), BATCH):
+            some = ours[start : start + BATCH]
+            written = codec.encode([sharing.cloud(v) for sharing, v in some])
+            contents.update({(id(sharing), v): one for (sharing, v), one in zip(some, written, strict=True)})
+    return contents
+
+
+def _placed(points: Floats, pose: tuple[float, float, float], ego: tuple[float, float, float]) -> Floats:
+    """Points (k, 3 + W) in the frame of the vehicle at `pose`, in that of the ego; poses x, y (m), heading (rad)."""
+    turn = pose[2] - ego[2]
+    dx, dy = pose[0] - ego[0], pose[1] - ego[1]
+    x = dx * math.cos(ego[2]) + dy * math.sin(ego[2])
+    y = dy * math.cos(ego[2]) - dx * math.sin(ego[2])
+    placed = np.array(points, np.float64)
+    placed[:, 0] = points[:, 0] * math.cos(turn) - points[:, 1] * math.sin(turn) + x
+    placed[:, 1] = points[:, 0] * math.sin(turn) + points[:, 1] * math.cos(turn) + y
+    return placed

@@ -48,7 +48,7 @@ class Ensemble:
         play(self.board.shelf, which, actions, True)
         if self.board.clouds is not None:
             every = [self.simulations[place].sharing for place in which.tolist()]
-            exchange([sharing for sharing in every if sharing is not None])
+            exchange([sharing for sharing in every if sharing is not None], self.board.rooms)
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""

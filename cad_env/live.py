@@ -71,6 +71,7 @@ class Board:
         self.told = _nothing_told(places)
         self.views: View = empty_view(places, 1)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
+        self.rooms: list[Floats] = []  # scratch: for clouds before they are encoded
         self._scenes: dict[int, LiveScene] = {}  # whose arrays the shelf borrows
         self.shelf: Any = new_shelf(KIND, places, self._scenes)
 

@@ -15,7 +15,7 @@ from baselines.paper.folder import read_run
 from baselines.paper.open_loop import environment_of
 from baselines.paper.orders import orders
 from baselines.paper.published import SCENES, TABLE_2, TABLE_3
-from baselines.paper.report import write
+from baselines.paper.report import found_in, write
 from baselines.paper.statistics import wilson_estimate
 from baselines.paper.sweeps import SWEEPS, points
 from baselines.settings import Settings
@@ -110,7 +110,7 @@ def test_every_row_is_compared_on_the_same_episodes_after_holm() -> None:
     rows = {name: row_of(name, count, 100) for name, count in (("stgraph", 99), ("gat", 90), ("ppo", 50))}
     rows["ppo"][1][0].pop(0)  # an episode that is not there
     drives = {name: drive for name, (_, drive) in rows.items()}
-    gat, ppo, ours = compared([rows[name][0] for name in ("gat", "ppo", "stgraph")], drives)
+    gat, ppo, ours = compared([rows[name][0] for name in ("gat", "ppo", "stgraph")], drives["stgraph"], drives)
     assert ours.test is None
     assert gat.test is not None
     assert (gat.test.first_only, gat.test.second_only) == (9, 0)
@@ -179,6 +179,20 @@ def test_a_whole_run_has_all_its_parts(tmp_path: Path) -> None:
     numbers = json.loads((tmp_path / "results.json").read_text())
     assert set(numbers) == {"open", "closed", "orders", "sweeps", "bars", "costs", "commands"}
     assert {row["contender"] for row in numbers["closed"]["dsrc"]["left_turn"]} >= {"stgraph", "expert"}
+
+
+def test_who_needs_another_radio_is_compared_with_the_main_one(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for radio, name, success in (("dsrc", "stgraph", 1.0), ("dsrc", "raw-points", 0.0), ("ideal", "raw-points", 0.4)):
+        records = [record("overtaking", name, seed, rng, success, 300) for seed in range(60)]
+        write_episodes(tmp_path / "closed" / radio / ("0" if name == "stgraph" else "1"), records)
+    found = found_in(read_run(tmp_path))
+    (ideal,) = found.closed["ideal"]["overtaking"]
+    assert ideal.adjusted_p is not None
+    assert ideal.adjusted_p < 0.001
+    assert [(order.radio, order.worse, order.verdict) for order in found.orders] == [
+        ("dsrc", "raw-points", "holds"), ("ideal", "raw-points", "holds"),
+    ]  # fmt: skip
 
 
 def test_what_is_not_there_is_left_out_with_a_word(tmp_path: Path) -> None:

@@ -15,12 +15,15 @@ from pathlib import Path
 
 import gymnasium as gym
 import tyro
+from decision import Decisions
 from growth import as_figures, growth, plot
 from processes import memory_figures, startup_figures, work_figures
+from simulators import simulators
 from stages import FOUR, Stages
 from stepping import AGENTS_PEER_ID, IDLE, PEER_ID, Measured, World, parallel, peer, single, vector
 from table import tabled
 from tqdm import tqdm
+from training import Training
 
 import cad_env
 
@@ -63,6 +66,7 @@ class Bench:
         mode = "vector_entry_point"
         self.vectors = {n: gym.make_vec(ENV_ID, num_envs=n, vectorization_mode=mode, ranges=FOUR) for n in SCENES}
         self.world, self.stages = World(), Stages()
+        self.decisions, self.training = Decisions(), Training()
         # Whatever has to be compiled.
         single(self.env, cad_env.GO, 100, 0), parallel(self.agents, 100, 0), self.world.stepped(100, 0)
 
@@ -88,6 +92,9 @@ class Bench:
         note("world step, 12 vehicles, 64 scenes (1/s)", bare.rate)
         note("  of 12 vehicles, on the map after 8 s", bare.vehicles / bare.steps)
         self._parts(1e6 / ours.rate, note)
+        for further in (self.decisions.measured(seed), self.training.measured(seed), simulators(self.steps)):
+            for name, value in further.items():
+                note(name, value)
 
     def _peers(self, rates: dict[int, Measured], together: dict[int, float], note: Note) -> None:
         note(f"peer {PEER_ID}, simulation at 10 Hz (1/s)", rates[10].rate)

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from paper_run import record, write_closed, write_episodes, write_run
 
-from baselines.contenders import Always
+from baselines.contenders import Always, contender_named
+from baselines.paper.bars import bars
 from baselines.paper.closed_metrics import ClosedRow, closed_row, compared
 from baselines.paper.folder import read_run
+from baselines.paper.open_loop import environment_of
 from baselines.paper.orders import orders
 from baselines.paper.published import SCENES, TABLE_2, TABLE_3
-from baselines.paper.report import write
+from baselines.paper.report import found_in, write
 from baselines.paper.statistics import wilson_estimate
 from baselines.paper.sweeps import SWEEPS, points
 from baselines.settings import Settings
@@ -108,7 +110,7 @@ def test_every_row_is_compared_on_the_same_episodes_after_holm() -> None:
     rows = {name: row_of(name, count, 100) for name, count in (("stgraph", 99), ("gat", 90), ("ppo", 50))}
     rows["ppo"][1][0].pop(0)  # an episode that is not there
     drives = {name: drive for name, (_, drive) in rows.items()}
-    gat, ppo, ours = compared([rows[name][0] for name in ("gat", "ppo", "stgraph")], drives)
+    gat, ppo, ours = compared([rows[name][0] for name in ("gat", "ppo", "stgraph")], drives["stgraph"], drives)
     assert ours.test is None
     assert gat.test is not None
     assert (gat.test.first_only, gat.test.second_only) == (9, 0)
@@ -117,6 +119,22 @@ def test_every_row_is_compared_on_the_same_episodes_after_holm() -> None:
     assert ppo.test.first_only == 49
     assert ppo.advantage is not None
     assert ppo.advantage.value == pytest.approx(49 / 99)
+
+
+def test_bars_are_judged_by_what_was_measured() -> None:
+    ours, expert = row_of("stgraph", 97, 100)[0], row_of("expert", 100, 100)[0]
+    large = replace(row_of("compressed", 90, 100)[0], bytes_per_message=33_000.0)
+    found = {bar.demand: bar for bar in bars("left_turn", {"dsrc": [ours, expert], "ideal": [large]}, {})}
+    assert {demand: bar.met for demand, bar in found.items()} == {
+        "collisions at most 1 %": True,
+        "success at least 98 %": False,
+        "needless brakes in at most 10 % of episodes without a hazard": False,
+        "success within 2 points of the expert's": False,
+        "time without a hazard within 10 % of the expert's": True,
+        "mean message at most 600 B": True,
+        "messages 100 times smaller than those of compressed": True,
+    }
+    assert found["messages 100 times smaller than those of compressed"].measured == "110 times"
 
 
 def test_the_papers_rows_agree_with_each_other() -> None:
@@ -131,13 +149,15 @@ def test_every_point_of_a_sweep_is_a_run_that_can_be_made() -> None:
     for point in points():
         assert set(point.overrides) <= set(fields)
         settings = Settings(scenario=("left_turn",), contender=("expert",), **point.overrides)
-        assert settings.environment("left_turn", shares=True)["depth"] == point.overrides.get("depth", 15)
+        assert environment_of(contender_named("planner-shared"), settings, "left_turn")["depth"] == point.overrides.get(
+            "depth", 15
+        )
     assert len({point.folder for point in points()}) == sum(len(sweep.points) for sweep in SWEEPS.values())
 
 
 def test_settings_speak_bytes_degrees_and_heads() -> None:
     settings = Settings(scenario=("left_turn",), budget=64, gnss_yaw_noise=180.0, collaborators=3)
-    environment = settings.environment("left_turn", shares=True)
+    environment = environment_of(contender_named("planner-shared"), settings, "left_turn")
     assert environment["radio"].budget == pytest.approx(64)
     assert environment["sensor"].gnss_yaw_noise == pytest.approx(np.pi)
     assert environment["ranges"] == {"collaborators": (3, 3)}
@@ -157,8 +177,22 @@ def test_a_whole_run_has_all_its_parts(tmp_path: Path) -> None:
     assert pictures == {"safety_left_turn.png", *swept}
     assert all(f"img/{name}" in text for name in pictures)
     numbers = json.loads((tmp_path / "results.json").read_text())
-    assert set(numbers) == {"open", "closed", "orders", "sweeps", "costs", "commands"}
+    assert set(numbers) == {"open", "closed", "orders", "sweeps", "bars", "costs", "commands"}
     assert {row["contender"] for row in numbers["closed"]["dsrc"]["left_turn"]} >= {"stgraph", "expert"}
+
+
+def test_who_needs_another_radio_is_compared_with_the_main_one(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for radio, name, success in (("dsrc", "stgraph", 1.0), ("dsrc", "raw-points", 0.0), ("ideal", "raw-points", 0.4)):
+        records = [record("overtaking", name, seed, rng, success, 300) for seed in range(60)]
+        write_episodes(tmp_path / "closed" / radio / ("0" if name == "stgraph" else "1"), records)
+    found = found_in(read_run(tmp_path))
+    (ideal,) = found.closed["ideal"]["overtaking"]
+    assert ideal.adjusted_p is not None
+    assert ideal.adjusted_p < 0.001
+    assert [(order.radio, order.worse, order.verdict) for order in found.orders] == [
+        ("dsrc", "raw-points", "holds"), ("ideal", "raw-points", "holds"),
+    ]  # fmt: skip
 
 
 def test_what_is_not_there_is_left_out_with_a_word(tmp_path: Path) -> None:

@@ -83,14 +83,12 @@ def closed_row(
     )  # fmt: skip
 
 
-def compared(rows: Sequence[ClosedRow], drives: Mapping[str, Drives]) -> list[ClosedRow]:
-    """The rows of one scenario and radio, each with how `stgraph` does against it; as they are if it is not there."""
-    if OURS not in drives:
-        return list(rows)
+def compared(rows: Sequence[ClosedRow], reference: Drives, drives: Mapping[str, Drives]) -> list[ClosedRow]:
+    """The rows of one scenario and radio, each with how `stgraph`, the reference, does against it."""
     others = [row for row in rows if row.contender != OURS]
     found = {}
     for row in others:
-        ours, theirs = success_pairs(drives[OURS], drives[row.contender])
+        ours, theirs = success_pairs(reference, drives[row.contender])
         if ours.size:
             found[row.contender] = difference(ours, theirs), mcnemar_of_seeds(ours, theirs)
     adjusted = dict(zip(found, holm([test.p for _, test in found.values()]), strict=True))

@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from baselines.paper.open_loop import OpenEpisode, OpenLoop
 from baselines.paper.statistics import DRAWS, Estimate, percentile_estimates, resampled_sums
-from cad_env.types import Floats, Ints
+from cad_env.types import Bools, Floats, Ints
 
-AP_DRAWS = 200  # of the average precision, which has to sort through all frames in every one
+AP_DRAWS = 200  # of the average precision, which runs through all frames in every one
 METRICS = ("ad", "ear", "precision", "f1", "false_brake_rate")
 
 
@@ -71,18 +72,29 @@ def ratios(counts: Floats) -> Floats:
     return np.stack(parts, axis=-1)
 
 
-def average_precision(scores: Floats, labels: Ints, weights: Floats) -> float:
-    """The area under precision over recall as a step function, frames (n,) weighted; NaN without a positive label.
+class Ranking(NamedTuple):
+    """Frames (n,) from the surest brake down: sorted once, weighed often."""
 
-    Frames of equal score stand or fall together.
+    labels: Ints
+    last: Bools  # of its score: frames of equal score stand or fall together
+    owner: Ints  # the place of its episode
 
-    >>> average_precision(np.array([0.9, 0.8, 0.3]), np.array([1, 0, 1]), np.ones(3))  # 1/2 * 1 + 1/2 * 2/3
-    0.8333333333333333
-    """
+
+def ranking(scores: Floats, labels: Ints, owner: Ints) -> Ranking:
+    """Frames (n,) by their scores."""
     order = np.argsort(-scores, kind="stable")
-    last = np.append(np.diff(scores[order]) != 0, True)  # of its score
-    hits = np.cumsum((weights * labels)[order])[last]
-    chosen = np.cumsum(weights[order])[last]
+    return Ranking(labels[order], np.append(np.diff(scores[order]) != 0, True), owner[order])
+
+
+def average_precision(ranked: Ranking, weights: Floats) -> float:
+    """The area under precision over recall as a step function; weights (E,) of the episodes. NaN without a brake.
+
+    >>> ranked = ranking(np.array([0.9, 0.8, 0.3]), np.array([1, 0, 1]), np.array([0, 0, 0]))
+    >>> round(average_precision(ranked, np.ones(1)), 4)  # 1/2 * 1 + 1/2 * 2/3
+    0.8333
+    """
+    weight = weights[ranked.owner]
+    hits, chosen = np.cumsum(weight * ranked.labels)[ranked.last], np.cumsum(weight)[ranked.last]
     if not hits[-1] > 0:
         return float("nan")
     precision = np.divide(hits, chosen, out=np.zeros_like(hits), where=chosen > 0)
@@ -94,21 +106,19 @@ def _average_precision(runs: Sequence[Sequence[OpenEpisode]], rng: np.random.Gen
     if any(episode.brake_probability is None for run in runs for episode in run):
         return None
     seeds, episodes = len(runs), len(runs[0])
-    frames = [_frames(run) for run in runs]
-    value = np.mean([average_precision(scores, labels, np.ones(len(scores))) for scores, labels, _ in frames])
+    ranked = [_ranked(run) for run in runs]
+    value = np.mean([average_precision(each, np.ones(episodes)) for each in ranked])
     drawn = np.empty((AP_DRAWS, 1))
     for draw in range(AP_DRAWS):
-        of_episodes = np.bincount(rng.integers(episodes, size=episodes), minlength=episodes).astype(float)
-        chosen = [frames[k] for k in rng.integers(seeds, size=seeds)]
-        drawn[draw] = np.mean([average_precision(s, labels, of_episodes[owner]) for s, labels, owner in chosen])
+        weights = np.bincount(rng.integers(episodes, size=episodes), minlength=episodes).astype(float)
+        drawn[draw] = np.mean([average_precision(ranked[k], weights) for k in rng.integers(seeds, size=seeds)])
     return percentile_estimates(np.array([value]), drawn)[0]
 
 
-def _frames(run: Sequence[OpenEpisode]) -> tuple[Floats, Ints, Ints]:
-    """Scores, labels and the place of their episode, (n,) each."""
+def _ranked(run: Sequence[OpenEpisode]) -> Ranking:
     scores = np.concatenate([np.array(episode.brake_probability) for episode in run])
     labels = np.array([int(digit) for episode in run for digit in episode.labels])
-    return scores, labels, np.repeat(np.arange(len(run)), [len(episode.labels) for episode in run])
+    return ranking(scores, labels, np.repeat(np.arange(len(run)), [len(episode.labels) for episode in run]))
 
 
 def _common(runs: Sequence[OpenLoop]) -> list[list[OpenEpisode]]:

@@ -18,7 +18,7 @@ class Order:
     """A claim that `better` succeeds more often than `worse`, and what came of it."""
 
     scenario: str
-    radio: str
+    radio: str  # of the worse one; where `stgraph` was not driven over it, its own is the main one
     better: str
     worse: str
     success: tuple[Estimate, Estimate]  # of both
@@ -47,7 +47,7 @@ def orders(rows: Sequence[ClosedRow], drives: Mapping[str, Drives]) -> list[Orde
     adjusted = holm([mcnemar_of_seeds(*pair).p for _, pair in known])
     return [
         Order(
-            by_name[better].scenario, by_name[better].radio, better, worse,
+            by_name[better].scenario, by_name[worse].radio, better, worse,
             (by_name[better].success, by_name[worse].success), difference(*pair), p,
             (by_name[better].bytes_per_second, by_name[worse].bytes_per_second),
         )

@@ -1,5 +1,5 @@
 """What the paper reports: Tables II and III of "Collaborative Decision-Making Using Spatiotemporal Graphs in Connected
-Autonomy" (ICRA 2024), digit by digit.
+Autonomy", digit by digit.
 
 Both tables hold the same numbers for NT-NS and GAT, and for NT-S and Collab-GAT. The EAR of the latter in overtaking
 is printed "0. 7020" in both, and is read as 0.7020 here.

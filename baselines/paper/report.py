@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from baselines.paper import published, tables
-from baselines.paper.closed_metrics import CHANCE, ClosedRow, closed_row, compared
+from baselines.paper.bars import Bar, bar_table, bars
+from baselines.paper.closed_metrics import CHANCE, OURS, ClosedRow, closed_row, compared
 from baselines.paper.folder import NOTES, Run, read_run
 from baselines.paper.open_metrics import open_score
 from baselines.paper.orders import Order, orders
@@ -34,6 +35,7 @@ class Findings:
     closed: Closed
     orders: list[Order]
     sweeps: Swept
+    bars: list[Bar]
 
 
 def write(folder: Path, command: str = "") -> Path:
@@ -48,7 +50,9 @@ def write(folder: Path, command: str = "") -> Path:
         _head(command), _beside(findings), _closed_loop(run, findings), _safety(folder / IMAGES, findings),
         _robustness(folder / IMAGES, run, findings), _departures(run, findings), _costs(run), _open_loop(findings),
     ]  # fmt: skip
-    numbers = json.dumps({**asdict(findings), "costs": run.costs, "commands": dict(run.commands)}, indent=1)
+    numbers = json.dumps(
+        {**asdict(findings), "costs": run.costs, "commands": dict(run.commands)}, indent=1, allow_nan=False
+    )
     replace_file(folder / NUMBERS, numbers.encode())
     replace_file(folder / RESULTS, ("\n\n".join(parts) + "\n").encode())
     return folder / RESULTS
@@ -65,8 +69,14 @@ def found_in(run: Run) -> Findings:
     for radio in sorted(run.closed, key=lambda radio: (radio != MAIN, radio)):
         for scenario, contenders in run.closed[radio].items():
             rows = [closed_row(radio, scenario, name, each, run.expert(scenario)) for name, each in contenders.items()]
-            closed.setdefault(radio, {})[scenario] = compared(rows, contenders)
-            said += orders(rows, contenders)
+            closed.setdefault(radio, {})[scenario] = rows
+            ours = contenders.get(OURS) or run.closed.get(MAIN, {}).get(scenario, {}).get(OURS)
+            if ours:
+                closed[radio][scenario] = compared(rows, ours, contenders)
+                known = [closed_row(MAIN, scenario, OURS, ours, {})] if OURS not in contenders else []
+                said += orders([*rows, *known], {**contenders, OURS: ours})
+            else:
+                said += orders(rows, contenders)
     sweeps: dict[str, dict[str, dict[str, dict[str, ClosedRow]]]] = {}
     for name, values in run.sweeps.items():
         for value, swept in values.items():
@@ -75,7 +85,13 @@ def found_in(run: Run) -> Findings:
                     who: closed_row(MAIN, scenario, who, {0: records}, run.expert(scenario))
                     for who, records in driven.items()
                 }
-    return Findings(scores, closed, said, sweeps)
+    scenes = dict.fromkeys([*scores, *(scenario for scenarios in closed.values() for scenario in scenarios)])
+    judged = [bar for scene in scenes for bar in bars(scene, _of_scene(closed, scene), scores.get(scene, {}))]
+    return Findings(scores, closed, said, sweeps, judged)
+
+
+def _of_scene(closed: Closed, scenario: str) -> dict[str, list[ClosedRow]]:
+    return {radio: scenarios[scenario] for radio, scenarios in closed.items() if scenario in scenarios}
 
 
 def _head(command: str) -> str:
@@ -120,7 +136,8 @@ def _closed_loop(run: Run, findings: Findings) -> str:
     lines.append(
         "All rows of a scene drive the same seeds. Rows that share nothing are the same over any radio. McNemar's "
         "exact test is on the successes of the same episodes, the largest p of all training seeds, after Holm "
-        "over the rows of a table. SCT is success times the share of the expert's time on the same seed."
+        "over the rows of a table. Over a radio that `stgraph` was not driven over, rows are compared with its "
+        "episodes over `dsrc`. SCT is success times the share of the expert's time on the same seed."
     )
     for radio, scenarios in findings.closed.items():
         for scenario, rows in scenarios.items():
@@ -146,7 +163,7 @@ def _safety(images: Path, findings: Findings) -> str:
         "messages above it are refused whole (dotted). Fewer frames a message is what shrinks it (line)."
     )
     for scenario in scenes:
-        rows = {radio: found[scenario] for radio, found in findings.closed.items() if scenario in found}
+        rows = _of_scene(findings.closed, scenario)
         sizes = {name: findings.sweeps[name][scenario] for name in SIZES if scenario in findings.sweeps.get(name, {})}
         safety_plot(images / f"safety_{scenario}.png", rows, sizes)
         lines.append(f"![{spoken(scenario)}: success and collisions against bytes]({IMAGES}/safety_{scenario}.png)")
@@ -161,7 +178,8 @@ def _robustness(images: Path, run: Run, findings: Findings) -> str:
     swept = {name: scenes for name, scenes in findings.sweeps.items() if name not in SIZES}
     if swept:
         lines.append(
-            "Success with its Wilson band, collisions dashed; everything else as in the closed loop over `dsrc`."
+            "Success with its Wilson band, collisions dashed. A row is swept over `dsrc`, or over `ideal` if no "
+            "message of its own fits into the former."
         )
     for name, scenes in swept.items():
         robustness_plot(images / f"sweep_{name}.png", name, scenes)
@@ -184,6 +202,8 @@ def _departures(run: Run, findings: Findings) -> str:
         ]
     else:
         lines.append(_missing("pair of rows that the paper orders"))
+    if findings.bars:
+        lines += ["What this project asks of itself, judged by the estimates:", bar_table(findings.bars)]
     return "\n\n".join([*lines, run.notes or f"*Nobody has written {NOTES} for this run yet.*"])
 
 

@@ -2,27 +2,28 @@
 
 python train.py                                      the main job, some minutes on two cores
 python train.py --scenario left_turn                 networks that know this scenario only
+python train.py --row gat collab-gat --seed 0 1 2    other rows of the table (baselines/rows.py), three times each
 python train.py --episodes 200 --corrections 0 --steps 600 --score 50 --out runs/quick     a quick look
 
 Interrupt it as you like: the same command goes on where it stopped.
 """
 
-import json
 import queue
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Future
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from baselines.courses import Budget, Lesson, claim, course_of, learn
+from baselines.rows import row_named
 from baselines.settings import Settings
 from cad_env.config import check_range, radio_config
-from cad_env.files import replace_file
 from evaluate import parsed, refused, scored, stopped
 
 ALL = ("all",)
-SCORED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
+RULES = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # whom the rows are scored beside
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,15 @@ class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
     scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
+    row: tuple[str, ...] = ("stgraph", "stgraph-own")  # which rows of the table (baselines/rows.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
-    radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing network is trained and scored on
+    radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing networks are trained and scored on
     episodes: int = 600  # of each scenario, driven by the expert
     corrections: int = 2  # rounds in which the network drives and the expert labels (DAgger)
+    mixing: float = 0.0  # share of the decisions that the expert takes in the first of these; of the n-th: to the n
     steps: int = 2400  # optimiser steps of the first round; later rounds take half as many
     validation: int = 60  # closed-loop episodes of each scenario after each third of a round, to choose a checkpoint
-    seed: int = 0  # of the networks and of everything drawn while training
+    seed: tuple[int, ...] = (0,)  # of the networks and of all that is drawn while training; several: one run for each
     score: int = 300  # episodes per contender and scenario at the end; 0 trains only
     jobs: int = 2  # processes
     velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
@@ -44,12 +47,23 @@ class TrainSettings:
     def __post_init__(self) -> None:
         if radio_config(self.radio).budget == 0.0:
             raise ValueError(f"radio must be one that carries something, got {self.radio!r}")
+        for what in ("row", "seed"):
+            given = getattr(self, what)
+            if not given or len(set(given)) < len(given):
+                raise ValueError(f"{what} must name at least one, each once, got {' '.join(map(str, given))!r}")
+        for name in self.row:
+            if self.velocity and row_named(name).family != "stgraph":
+                raise ValueError(f"velocity is for rows of the paper's network, and {name} is not one")
         check_range("score", self.score, 0, 1_000_000)
         check_range("jobs", self.jobs, 1, 64)
 
     def folder(self) -> Path:
         """Where everything goes."""
         return self.out or Path("runs") / "+".join(self.scenario)
+
+    def models(self, seed: int) -> Path:
+        """The folder of the models of a training seed."""
+        return self.folder() if len(self.seed) == 1 else self.folder() / f"seed_{seed}"
 
     def scenarios(self) -> tuple[str, ...]:
         """What the networks learn, in the same order however it was asked for; ValueError for what does not exist."""
@@ -58,14 +72,31 @@ class TrainSettings:
         chosen = [scenario_named(name).name for name in (SCENARIOS if self.scenario == ALL else self.scenario)]
         return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
+    def budget(self) -> Budget:
+        """What every row may cost."""
+        return Budget(
+            self.scenarios(), self.radio, self.episodes, self.corrections, self.steps, self.validation,
+            mixing=self.mixing,
+        )  # fmt: skip
+
+    def lessons(self) -> list[tuple[Lesson, Any]]:
+        """Every row and seed, with its course; ValueError for one that is impossible."""
+        knobs = {"velocity": True} if self.velocity else {}
+        recordings, budget = self.folder() / "recording", self.budget()
+        return [
+            (Lesson(row, seed, self.models(seed), recordings), course_of(row_named(row), seed, budget, knobs))
+            for seed in self.seed
+            for row in self.row
+        ]
+
     def scoring(self) -> Settings:
         """The closed-loop comparison at the end; other episodes or another version of the scenes score anew."""
         from cad_env.compiled import version
 
         scores = self.folder() / f"scores_{self.score}_{version()}"
         return Settings(
-            scenario=self.scenarios(), contender=SCORED, policy=self.folder(), episodes=max(self.score, 1),
-            jobs=self.jobs, out=scores, radio=self.radio,
+            scenario=self.scenarios(), contender=(*RULES, *self.row), policy=tuple(map(self.models, self.seed)),
+            episodes=max(self.score, 1), jobs=self.jobs, out=scores, radio=self.radio,
         )  # fmt: skip
 
 
@@ -73,9 +104,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
         settings = parsed(TrainSettings, argv)
-        courses(settings)
-        claim(settings)
-        train_all(settings)
+        lessons = settings.lessons()
+        for lesson, course in lessons:
+            claim(lesson.folder, course)
+        train_all(settings, lessons)
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
@@ -84,67 +116,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     return scored(settings.scoring()) if settings.score else 0
 
 
-def courses(settings: TrainSettings) -> dict[str, Any]:
-    """The two networks to train, by the name of their folder: the same course, with sharing and without.
-
-    ValueError for a scenario that does not exist or a course that is impossible.
-    """
-    from policies.stgraph import StGraphConfig
-    from policies.training import Course
-
-    def course(radio: str) -> Course:
-        return Course(
-            scenarios=settings.scenarios(), radio=radio, seed=settings.seed, episodes=settings.episodes,
-            corrections=settings.corrections, steps=settings.steps, validation=settings.validation,
-            final_validation=settings.validation * 5 // 3, network=StGraphConfig(velocity=settings.velocity),
-        )  # fmt: skip
-
-    return {"shared": course(settings.radio), "own": course("none")}
-
-
-def claim(settings: TrainSettings) -> None:
-    """Note in the folder what it is for; ValueError if it holds a run of other settings."""
-    from cad_env.compiled import version
-
-    folder, path = settings.folder(), settings.folder() / "settings.json"
-    wanted = json.loads(json.dumps({name: asdict(course) for name, course in courses(settings).items()}))
-    wanted["shared"]["version of cad_env"] = version()
-    if path.exists():
-        try:
-            found = json.loads(path.read_text())
-        except ValueError:
-            raise ValueError(f"{path} is damaged: use another folder or delete that one") from None
-        if found != wanted:
-            raise ValueError(f"{folder} holds a run with {_difference(found, wanted)}: use another --out or delete it")
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
-
-
-def _difference(found: Any, wanted: Mapping[str, Any]) -> str:
-    before = found.get("shared", {}) if isinstance(found, dict) else {}
-    for name, value in wanted["shared"].items():
-        if before.get(name) != value:
-            return f"{name}={before.get(name)!r}, now {value!r}"
-    return "other settings"
-
-
-def train_all(settings: TrainSettings) -> None:
-    """Train both networks side by side, with one progress bar over all their work."""
+def train_all(settings: TrainSettings, lessons: Sequence[tuple[Lesson, Any]]) -> None:
+    """Record the expert once, then train side by side, with one progress bar over all the work."""
     from tqdm import tqdm
 
     from baselines.workers import workers
 
-    plan = courses(settings)
-    total = sum(course.work() for course in plan.values())
-    with workers(min(settings.jobs, len(plan))) as (pool, told):
-        running = [pool.submit(_train_one, course, settings.folder() / name) for name, course in plan.items()]
-        with tqdm(total=total, desc="training", bar_format=BAR, disable=None) as bar:
-            while not all(future.done() for future in running):
-                bar.update(_heard(told))
-                _raise_if_failed(running)
-            bar.update(_heard(told))
+    scenes, folder = settings.scenarios(), settings.folder() / "recording"
+    total = settings.episodes * len(scenes) + sum(course.work() for _, course in lessons)
+    with (
+        workers(min(settings.jobs, max(len(lessons), len(scenes)))) as (pool, told),
+        tqdm(total=total, desc="training", bar_format=BAR, disable=None) as bar,
+    ):
+        _wait_for([pool.submit(_record, folder, scene, settings.episodes) for scene in scenes], told, bar)
+        _wait_for([pool.submit(_learn, lesson, course) for lesson, course in lessons], told, bar)
+
+
+def _wait_for(running: "Sequence[Future[None]]", told: Any, bar: Any) -> None:
+    while not all(future.done() for future in running):
+        bar.update(_heard(told))
         _raise_if_failed(running)
+    bar.update(_heard(told))
+    _raise_if_failed(running)
 
 
 BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
@@ -166,12 +159,17 @@ def _raise_if_failed(running: Sequence[Future[None]]) -> None:
             future.result()
 
 
-def _train_one(course: Any, folder: Path) -> None:
+def _record(folder: Path, scenario: str, episodes: int) -> None:
     from baselines.workers import tell
-    from policies.training import train
+    from policies.training import record_expert
 
-    advance: Callable[[float], object] = tell
-    train(course, folder, advance)
+    record_expert(folder, scenario, episodes, tell)
+
+
+def _learn(lesson: Lesson, course: Any) -> None:
+    from baselines.workers import tell
+
+    learn(lesson, course, tell)
 
 
 if __name__ == "__main__":

@@ -4,9 +4,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from cad_env.types import BRAKE, GO, Policy
+from baselines.families import family_named
+from baselines.rows import ROWS, Row
+from cad_env.types import BRAKE, FRAMES, GO, Policy
+
+if TYPE_CHECKING:
+    from policies.saved import SavedModel
 
 MODEL_FILES = ("model.safetensors", "config.json")
 NOTHING, SEEN, SENT, TRUTH = KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")
@@ -35,6 +40,9 @@ class Contender:
     knows: str  # one of KNOWLEDGE
     make_policy: Callable[[Path], Policy]  # from the folder of trained models
     model: str | None = None  # the folder in there that it needs
+    depth: int = FRAMES  # newest frames in a message that is sent to it
+    # The options of the environment that it needs beside scenario, radio and depth, from the same folder.
+    needs: Callable[[Path], dict[str, Any]] = lambda _: {}
 
     @property
     def shares(self) -> bool:
@@ -54,16 +62,20 @@ def _expert(_: Path) -> Policy:
     return Expert()
 
 
-def _learned(name: str, knows: str, model: str) -> Contender:
-    def load(models: Path) -> Policy:
-        folder = models / model
+def _learned(row: Row) -> Contender:
+    def load(models: Path) -> "SavedModel":
+        folder = models / row.model
         if not folder.is_dir():
-            raise ValueError(f"no trained model for {name}: there is no folder {folder}")
-        from policies.driver import LearnedPolicy  # here, because torch takes a second that the others need not wait
+            raise ValueError(f"no trained model for {row.name}: there is no folder {folder}")
+        from policies.saved import load_model  # here, because torch takes a second that the others need not wait
 
-        return LearnedPolicy.load(folder)
+        return load_model(folder, family_named)
 
-    return Contender(name, knows, load, model)
+    def needs(models: Path) -> dict[str, Any]:
+        return load(models).environment() if row.shares in ("points", "features") else {}
+
+    knows = NOTHING if row.blind else SEEN if row.shares == "nothing" else SENT
+    return Contender(row.name, knows, lambda models: load(models).driver(), row.model, row.depth, needs)
 
 
 CONTENDERS: Mapping[str, Contender] = MappingProxyType(
@@ -75,11 +87,11 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
             Contender("planner-own", SEEN, _planner),
             Contender("planner-shared", SENT, _planner),
             Contender("expert", TRUTH, _expert),
-            _learned("stgraph", SENT, "shared"),
-            _learned("stgraph-own", SEEN, "own"),
+            *(_learned(row) for row in ROWS.values()),
         )
     }
 )
+SHIPPED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
 
 
 def contender_named(name: str) -> Contender:

@@ -51,7 +51,7 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
 
 def _environment(settings: Settings, record: Record) -> dict[str, Any]:
     """The options that a recorded episode was driven with, and a small picture."""
-    options = settings.environment(record.scenario, contender_named(record.contender).shares)
+    options = settings.environment(record.scenario, contender_named(record.contender))
     return {**options, "config": screen(scenario_named(record.scenario).map, SIZE)}
 
 

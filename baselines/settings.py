@@ -1,15 +1,16 @@
 """What a scoring run is asked for; also the command line of evaluate.py."""
 
+import math
 import shlex
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 from baselines.cluster import check_ray
-from baselines.contenders import CONTENDERS, contender_named, shipped_models
+from baselines.contenders import SHIPPED, Contender, contender_named, shipped_models
 from baselines.grid import Task, grid, shard_of
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
-from cad_env.types import FRAMES
+from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL = ("all",)
@@ -27,8 +28,8 @@ class Settings:
     """
 
     scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
-    contender: tuple[str, ...] = tuple(CONTENDERS)  # who drives, in the order of the table
-    policy: Path | None = None  # folder of the trained models `shared` and `own`; default: those of the package
+    contender: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/rows.py has more
+    policy: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
     episodes: int = 500  # per scenario and contender
     first_seed: int = 1_000_000  # training never uses seeds from a million on
     jobs: int = 1  # processes
@@ -43,8 +44,11 @@ class Settings:
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
     burst: float | None = None  # mean slots in a row that the ego misses of a sender; default: each by itself
     delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own
+    budget: float | None = None  # bytes of one sender in 0.1 s; a message above is refused whole; default: the radio's
     sensor_noise: float = SensorConfig.noise  # m, standard deviation of each coordinate of a detection
     gnss_noise: float = SensorConfig.gnss_noise  # m, standard deviation of a vehicle's own position
+    gnss_yaw_noise: float = 0.0  # degrees, standard deviation of a vehicle's own heading
+    collaborators: int | None = None  # connected vehicles besides the ego; default: two to four
     hazard: str = "all"  # yes or no: only episodes with or without one; all: as the seed decides
     depth: int = FRAMES  # newest frames in a message
 
@@ -55,6 +59,8 @@ class Settings:
             names = getattr(self, what)
             if not names or len(set(names)) < len(names):
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
+        if len({folder.name for folder in self.policy}) < len(self.policy):
+            raise ValueError(f"policy folders must have different names, got {' '.join(map(str, self.policy))}")
         check_range("episodes", self.episodes, 1, 10_000_000)
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)
@@ -72,7 +78,7 @@ class Settings:
         from cad_env.simulation import setup_from  # here, because highway-env takes a second that --help need not wait
 
         for scenario in self.scenarios():
-            setup_from(self.environment(scenario, shares=True))
+            setup_from(self._environment(scenario, self.radio_config(), self.depth))
 
     def scenarios(self) -> tuple[str, ...]:
         """The names of the scenarios, in the order of the table."""
@@ -80,20 +86,29 @@ class Settings:
 
         return tuple(SCENARIOS) if self.scenario == ALL else self.scenario
 
-    def environment(self, scenario: str, shares: bool) -> dict[str, Any]:
-        """The options of the environment for a contender that shares, or does not."""
+    def environment(self, scenario: str, contender: Contender) -> dict[str, Any]:
+        """The options of the environment for a contender: what it shares, and what its network needs."""
+        radio = self.radio_config() if contender.shares else RADIO_PRESETS["none"]
+        options = self._environment(scenario, radio, min(self.depth, contender.depth))
+        return {**options, **contender.needs(self.models(scenario))}
+
+    def _environment(self, scenario: str, radio: RadioConfig, depth: int) -> dict[str, Any]:
         return {
             "scenario": scenario,
-            "radio": self.radio_config() if shares else RADIO_PRESETS["none"],
-            "sensor": SensorConfig(noise=self.sensor_noise, gnss_noise=self.gnss_noise),
-            "depth": self.depth,
+            "radio": radio,
+            "sensor": SensorConfig(
+                noise=self.sensor_noise, gnss_noise=self.gnss_noise, gnss_yaw_noise=math.radians(self.gnss_yaw_noise)
+            ),
+            "ranges": {} if self.collaborators is None else {"collaborators": (self.collaborators,) * 2},
+            "depth": depth,
             "traffic": self.traffic,
             "penetration": self.penetration,
         }
 
     def radio_config(self) -> RadioConfig:
         """The preset with what was overridden."""
-        chosen = {"loss": self.loss, "burst": self.burst, "delay": self.delay}
+        rate = None if self.budget is None else 8.0 * self.budget / STEP
+        chosen = {"loss": self.loss, "burst": self.burst, "delay": self.delay, "rate": rate}
         return replace(radio_config(self.radio), **{name: value for name, value in chosen.items() if value is not None})
 
     def seeds(self) -> range:
@@ -105,8 +120,8 @@ class Settings:
         return grid(self.scenarios(), self.contender, self.seeds(), self.shard)
 
     def models(self, scenario: str) -> Path:
-        """The folder of trained models for a scenario."""
-        return shipped_models(scenario) if self.policy is None else self.policy
+        """The folder of trained models for a scenario; of the first training seed, where there are several."""
+        return self.policy[0] if self.policy else shipped_models(scenario)
 
     def folder(self) -> Path:
         """Where the results go."""

@@ -59,12 +59,11 @@ print(int(peak.split()[1]) / 1024)
 RECORDING = """
 import sys, time
 from pathlib import Path
-from cad_env.planner import Expert
 from cad_env.vector import CADVectorEnv
-from policies.demonstrations import record
-record(Path(sys.argv[1]) / "warm", CADVectorEnv(1), Expert(), range(1), lambda done: None)
+from policies.recording import record
+record(Path(sys.argv[1]) / "warm", CADVectorEnv(1, radio="none"), None, range(1), lambda done: None)
 start = time.process_time()
-record(Path(sys.argv[1]) / "shards", CADVectorEnv(64), Expert(), range(1000), lambda done: None)
+record(Path(sys.argv[1]) / "shards", CADVectorEnv(64, radio="none"), None, range(1000), lambda done: None)
 print(time.process_time() - start)
 """
 

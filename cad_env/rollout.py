@@ -15,6 +15,8 @@ from cad_env.simulation import Simulation
 from cad_env.types import BRAKE, STEP, Floats, Ints, Observation, Policy
 from cad_env.vector import CADVectorEnv
 
+BRAKE_WINDOW = 5  # decisions: 0.5 s
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -33,6 +35,7 @@ class Episode:
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
     hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet
+    connected: int  # vehicles, the ego included
 
     @property
     def time(self) -> float:
@@ -43,6 +46,12 @@ class Episode:
     def brakes(self) -> int:
         """Decisions to brake."""
         return int((self.action == BRAKE).sum())
+
+    @property
+    def hardest_brake(self) -> float:
+        """m/s2, the largest mean deceleration of the ego over 0.5 s; 0 where it never slows down."""
+        drop = self.speed[:-BRAKE_WINDOW] - self.speed[BRAKE_WINDOW:]
+        return max(0.0, float(drop.max(initial=0.0))) / (BRAKE_WINDOW * STEP)
 
     @property
     def bytes_per_message(self) -> float:
@@ -168,5 +177,6 @@ class _Log:
         return Episode(
             simulation.scenario.name, contender, info["seed"], info["hazard"], info["outcome"],
             self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_timing=info["hazard_timing"],
+            connected=len(simulation.agents),
             **{name: part[place, :count].copy() for name, part in self._told.items()},
         )  # fmt: skip

@@ -9,24 +9,21 @@ import numpy as np
 import safetensors.torch
 import torch
 from safetensors import SafetensorError
-from torch import Tensor
+from torch import Tensor, nn
 
 from cad_env.files import replace_file
 from cad_env.rollout import Episode, rollouts
-from cad_env.types import BRAKE, Ints
+from cad_env.types import BRAKE, Ints, Policy
 from cad_env.vector import CADVectorEnv
-from policies.demonstrations import Frames
-from policies.driver import LearnedPolicy
-from policies.fused import fused_logits
+from policies.family import Family, Frames
 from policies.saved import ModelError
-from policies.stgraph import StGraphNet
 
 
 @dataclass(frozen=True)
 class Recipe:
     """How a network is fitted."""
 
-    batch: int = 96  # graphs
+    batch: int = 96  # frames
     learning_rate: float = 5e-3  # of Adam, at the start of a round; falls to a tenth by a cosine
     brake_share: float = 0.3  # of every batch; in the recorded frames it is about a tenth
 
@@ -53,7 +50,8 @@ def balanced(
 
 
 def fit(
-    network: StGraphNet,
+    family: Family,
+    network: nn.Module,
     optimiser: torch.optim.Adam,
     frames: Mapping[str, Frames],
     recipe: Recipe,
@@ -70,7 +68,7 @@ def fit(
         for group in optimiser.param_groups:
             group["lr"] = recipe.learning_rate * (0.55 + 0.45 * math.cos(math.pi * step / total))
         seen, label = _gathered(frames, next(batches))
-        loss = torch.nn.functional.cross_entropy(fused_logits(network, seen), label)
+        loss = torch.nn.functional.cross_entropy(family.logits(network, seen), label)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -98,9 +96,7 @@ class Worth:
         return (self.failures, self.time) < (other.failures, other.time)
 
 
-def drive(
-    policy: LearnedPolicy, envs: CADVectorEnv, seeds: Sequence[int], advance: Callable[[int], object]
-) -> list[Episode]:
+def drive(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], advance: Callable[[int], object]) -> list[Episode]:
     """Closed-loop episodes of a network."""
     episodes = []
     for episode in rollouts(envs, policy, seeds):
@@ -109,7 +105,7 @@ def drive(
     return episodes
 
 
-def save_state(path: Path, network: StGraphNet, optimiser: torch.optim.Adam) -> None:
+def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam) -> None:
     """Keep the network and Adam's moments, so that a run goes on as if it had not stopped."""
     tensors: dict[str, Tensor] = {f"network.{name}": value for name, value in network.state_dict().items()}
     for index, state in optimiser.state_dict()["state"].items():
@@ -118,7 +114,7 @@ def save_state(path: Path, network: StGraphNet, optimiser: torch.optim.Adam) -> 
     replace_file(path, safetensors.torch.save(tensors))
 
 
-def load_state(path: Path, network: StGraphNet, optimiser: torch.optim.Adam) -> None:
+def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam) -> None:
     """The counterpart of `save_state`; ModelError for a file that is damaged or of another network."""
     try:
         tensors = safetensors.torch.load(path.read_bytes())

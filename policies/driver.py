@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from cad_env.config import check_range
 from cad_env.types import Floats, Ints, Observation
 from policies.fused import FusedNet, supports
-from policies.saved import load_model
 from policies.stgraph import StGraphNet
 
 _AT_ONCE = 256  # graphs in one dense pass, which bounds the memory of a large batch
@@ -35,12 +33,6 @@ class LearnedPolicy:
         config = network.config
         self._keys = ["tracks", "mask", "command"]
         self._keys += ["ego"] * (config.velocity or config.ego_speed) + ["kind"] * config.class_input
-
-    @classmethod
-    def load(cls, folder: str | Path) -> "LearnedPolicy":
-        """The driver in a model folder; raises policies.saved.ModelError when the folder is damaged."""
-        model = load_model(folder)
-        return cls(model.network, model.threshold)
 
     def reset(self, seed: int) -> None:
         """Nothing to forget and nothing to draw: all memory is in the observation's window."""

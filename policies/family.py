@@ -21,14 +21,19 @@ Self = TypeVar("Self", bound="Frames")
 class Frames(Protocol):
     """F labelled frames of whole episodes, in a form that takes little memory."""
 
-    seed: Ints  # (F,) int64 of the episode
-    label: Ints  # (F,) int8 what the expert would do
+    @property
+    def seed(self) -> Ints:
+        """(F,) int64 of the episode."""
+
+    @property
+    def label(self) -> Ints:
+        """(F,) int8 what the expert would do."""
 
     def __len__(self) -> int:
         """F."""
 
     def batch(self, frames: Ints) -> dict[str, NDArray[Any]]:
-        """What the network reads of some frames, stacked."""
+        """What the network reads of some frames, stacked; the shapes behind the first do not depend on them."""
 
     def joined(self: Self, others: Sequence[Self]) -> Self:
         """These frames and then the others'."""
@@ -44,8 +49,13 @@ class Driver(Policy, BatchPolicy, Protocol):
 class Family(Protocol):
     """One kind of network."""
 
-    name: str  # in config.json of its models
-    config_type: type  # the frozen, checked dataclass of its knobs: what config.json holds of it
+    @property
+    def name(self) -> str:
+        """In config.json of its models."""
+
+    @property
+    def config_type(self) -> type:
+        """The frozen, checked dataclass of its knobs: what config.json holds of it."""
 
     def build(self, config: Any, seed: int) -> nn.Module:
         """A new network whose `config` attribute is the given one; `seed` is the only source of its first weights."""

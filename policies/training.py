@@ -1,7 +1,8 @@
 """From nothing to a driver: record the expert, clone it, let the clone drive and be corrected, keep the best.
 
-One network learns all scenarios of its course. A course is a list of stages in files, so a killed run goes on after
-the last stage it finished. Every stage draws its chance from (seed, stage), so stopping and going on changes nothing.
+One network of any family learns all scenarios of its course. A course is a list of stages in files, so a killed run
+goes on after the last stage it finished. Every stage draws its chance from (seed, stage), so stopping and going on
+changes nothing.
 """
 
 import json
@@ -12,18 +13,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 
 from cad_env.config import check_range, radio_config
-from cad_env.planner import Expert
 from cad_env.scenarios import SCENARIOS, scenario_named
-from cad_env.types import Policy
+from cad_env.types import FRAMES
 from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, drive, fit, load_state, save_state
-from policies.demonstrations import Frames, join, record
-from policies.driver import LearnedPolicy
+from policies.family import Family, Frames
 from policies.metrics import Log, summary, worth
-from policies.saved import SavedModel, load_model, save_model
-from policies.stgraph import StGraphConfig, StGraphNet
+from policies.recording import Recording, record, replay
+from policies.saved import Families, SavedModel, load_model, paper_only, save_model
+from policies.stgraph import StGraphConfig
 
 # Seeds of training stay below a million; those of scoring begin there. Every scenario uses the same ones.
 EXPERT_SEEDS, CORRECTED_SEEDS, VALIDATION_SEEDS, FINAL_SEEDS = 0, 300_000, 900_000, 950_000
@@ -32,7 +33,7 @@ SIDE_BY_SIDE = 32
 FINALISTS = 2  # checkpoints that are validated once more, at every threshold
 
 # What one unit of each kind of work costs, relative to an optimiser step: for an honest progress bar.
-EXPERT_COST, DRIVEN_COST = 0.9, 1.6
+REPLAYED_COST, DRIVEN_COST = 0.9, 1.6
 
 Advance = Callable[[float], object]
 
@@ -43,17 +44,20 @@ class Course:
 
     scenarios: tuple[str, ...] = tuple(SCENARIOS)
     radio: str = "dsrc"  # none: trained, as it will be run, without sharing
+    depth: int = FRAMES  # newest frames in a message
     seed: int = 0
     episodes: int = 600  # driven by the expert
     corrections: int = 2  # DAgger rounds: the network drives, the expert labels
     corrected_episodes: int = 200  # in each of them
+    mixing: float = 0.0  # share of the decisions that the expert takes in the first of them; of the n-th: to the n
     steps: int = 2400  # optimiser steps of the first round; half as many in each later one
     segments: int = 3  # parts of a round; a checkpoint and a validation after each
     validation: int = 60  # episodes after each segment
     final_validation: int = 100  # episodes for each of the best checkpoints and thresholds
     thresholds: tuple[float, ...] = (0.65, 0.5, 0.35)
     recipe: Recipe = field(default_factory=Recipe)
-    network: StGraphConfig = field(default_factory=StGraphConfig)
+    family: str = "stgraph"
+    network: Any = field(default_factory=StGraphConfig)  # of the family's config type
 
     def __post_init__(self) -> None:
         for name in self.scenarios:
@@ -67,6 +71,8 @@ class Course:
             ("final_validation", 1, LAST_SEED - FINAL_SEEDS),
         ):  # fmt: skip
             check_range(name, getattr(self, name), low, high)
+        check_range("mixing", self.mixing, 0.0, 1.0)
+        check_range("depth", self.depth, 1, FRAMES)
 
     def steps_of(self, turn: int) -> int:
         """Optimiser steps of a round, a multiple of its segments."""
@@ -78,7 +84,8 @@ class Course:
         rounds = range(self.corrections + 1)
         driven = self.corrections * self.corrected_episodes + self.segments * len(rounds) * self.validation
         driven += FINALISTS * len(self.thresholds) * self.final_validation
-        per_scenario = EXPERT_COST * self.episodes + DRIVEN_COST * driven
+        replayed = self.episodes + self.corrections * self.corrected_episodes
+        per_scenario = REPLAYED_COST * replayed + DRIVEN_COST * driven
         return len(self.scenarios) * per_scenario + sum(self.steps_of(turn) for turn in rounds)
 
 
@@ -88,9 +95,10 @@ class _Workshop:
 
     course: Course
     folder: Path
-    network: StGraphNet
+    recordings: Path  # of the expert, shared by all courses
+    family: Family
+    network: nn.Module
     optimiser: torch.optim.Adam
-    envs: Mapping[str, CADVectorEnv]  # of every scenario
     log: Log
     advance: Advance
 
@@ -98,39 +106,83 @@ class _Workshop:
         """Tell of episodes that the network drove."""
         self.advance(DRIVEN_COST * episodes)
 
+    def envs(self, scenario: str) -> CADVectorEnv:
+        """Scenes as the network is to drive in them, as it is now."""
+        needs = self.family.environment(self.network)
+        return CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio=self.course.radio, depth=self.course.depth, **needs)
 
-def train(course: Course, folder: Path, advance: Advance) -> None:
-    """Train one network into `folder` (model.safetensors, config.json, metrics.csv), going on where it stopped."""
+    def done(self, turn: int) -> bool:
+        """Whether every segment of a round has its checkpoint and its validation."""
+        return all(self.has(turn, segment) for segment in range(self.course.segments))
+
+    def has(self, turn: int, segment: int) -> bool:
+        """Whether a segment has them."""
+        rows = self.log.of(turn, segment)
+        return checkpoint(self.folder, turn, segment).exists() and len(rows) == len(self.course.scenarios)
+
+
+def record_expert(folder: Path, scenario: str, episodes: int, advance: Advance) -> list[Recording]:
+    """The expert's episodes of a scenario, kept in `folder`/<scenario>; it sees the truth, so nothing is sent."""
+    envs = CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio="none")
+    return record(folder / scenario, envs, None, range(EXPERT_SEEDS, EXPERT_SEEDS + episodes), advance)
+
+
+def train(
+    course: Course,
+    folder: Path,
+    advance: Advance,
+    families: Families = paper_only,
+    recordings: Path | None = None,
+) -> None:
+    """Train one network into `folder` (model.safetensors, config.json, metrics.csv), going on where it stopped.
+
+    `recordings` is where the expert's episodes are, or are put; several courses may share it.
+    """
     torch.set_num_threads(1)  # the graphs are small: a second thread waits more than it works
     if (folder / "config.json").exists():
-        load_model(folder)
+        load_model(folder, families)
         advance(course.work())
         return
     folder.mkdir(parents=True, exist_ok=True)
-    network = StGraphNet(course.network, seed=course.seed)
+    family = families(course.family)
+    network = family.build(course.network, seed=course.seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=course.recipe.learning_rate)
-    envs = {name: CADVectorEnv(SIDE_BY_SIDE, scenario=name, radio=course.radio) for name in course.scenarios}
-    shop = _Workshop(course, folder, network, optimiser, envs, Log(folder / "metrics.csv"), advance)
+    log, shared = Log(folder / "metrics.csv"), recordings or folder / "recording"
+    shop = _Workshop(course, folder, shared, family, network, optimiser, log, advance)
     frames: dict[str, Frames] = {}
+    known = 0  # rounds whose frames are in there
     for turn in range(course.corrections + 1):
-        for name in course.scenarios:
-            parts = [frames[name]] if turn else []
-            frames[name] = join([*parts, _record(shop, turn, name)])
+        if not shop.done(turn):
+            for missing in range(known, turn + 1):
+                _learn_of(shop, missing, frames)
+            known = turn + 1
         _round(shop, turn, frames)
     _keep_best(shop)
 
 
-def _record(shop: _Workshop, turn: int, scenario: str) -> Frames:
-    """The frames of a scenario in a round: driven by the expert at first, then by the network as it is now."""
-    shards = shop.folder / "demonstrations" / scenario / f"round_{turn}"
-    first, count, cost = EXPERT_SEEDS, shop.course.episodes, EXPERT_COST
-    driver: Policy = Expert()
-    if turn > 0:
-        first, count, cost = CORRECTED_SEEDS + turn * 10_000, shop.course.corrected_episodes, DRIVEN_COST
-        driver = LearnedPolicy(shop.network)
-    return record(
-        shards, shop.envs[scenario], driver, range(first, first + count), lambda done: shop.advance(cost * done)
-    )
+def _learn_of(shop: _Workshop, turn: int, frames: dict[str, Frames]) -> None:
+    """Add the frames of a round, of every scenario, as the network meets them."""
+    for name in shop.course.scenarios:
+        envs, parts = shop.envs(name), []
+        for recorded in _recorded(shop, turn, name):
+            parts.append(shop.family.frames(*replay(recorded, envs, shop.family.look)))
+            shop.advance(REPLAYED_COST * len(recorded))
+        before = [frames.pop(name)] if name in frames else []
+        first, *others = [*before, *parts]
+        del before, parts
+        frames[name] = first.joined(others) if others else first
+
+
+def _recorded(shop: _Workshop, turn: int, scenario: str) -> list[Recording]:
+    """The episodes of a round: driven by the expert at first, then by the network as it was before the round."""
+    course = shop.course
+    if turn == 0:
+        return record_expert(shop.recordings, scenario, course.episodes, lambda done: None)
+    first = CORRECTED_SEEDS + turn * 10_000
+    seeds = range(first, first + course.corrected_episodes)
+    shards = shop.folder / "corrections" / scenario / f"round_{turn}"
+    driver = shop.family.driver(shop.network, 0.5)
+    return record(shards, shop.envs(scenario), driver, seeds, shop.driven, course.mixing**turn)
 
 
 def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
@@ -138,24 +190,27 @@ def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
     course, total = shop.course, shop.course.steps_of(turn)
     size = total // course.segments
     for segment in range(course.segments):
-        checkpoint = _checkpoint(shop.folder, turn, segment)
-        if checkpoint.exists() and len(shop.log.of(turn, segment)) == len(course.scenarios):
-            load_state(checkpoint, shop.network, shop.optimiser)
+        path = checkpoint(shop.folder, turn, segment)
+        if shop.has(turn, segment):
+            load_state(path, shop.network, shop.optimiser)
             shop.advance(size)
             shop.driven(course.validation * len(course.scenarios))
             continue
         rng = np.random.default_rng([course.seed, turn, segment])
         steps = range(segment * size, (segment + 1) * size)
-        loss = fit(shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance)
-        save_state(checkpoint, shop.network, shop.optimiser)
+        loss = fit(shop.family, shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance)
+        save_state(path, shop.network, shop.optimiser)
         found = _validated(shop, 0.5, range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation))
         shop.log.replace(turn, segment, [{"loss": round(loss, 5), "threshold": 0.5, **row} for row in found])
 
 
 def _validated(shop: _Workshop, threshold: float, seeds: range) -> list[dict[str, Any]]:
     """What the network is worth in closed loop, a summary for each scenario."""
-    policy = LearnedPolicy(shop.network, threshold)
-    return [{"scenario": name, **summary(drive(policy, envs, seeds, shop.driven))} for name, envs in shop.envs.items()]
+    policy = shop.family.driver(shop.network, threshold)
+    return [
+        {"scenario": name, **summary(drive(policy, shop.envs(name), seeds, shop.driven))}
+        for name in shop.course.scenarios
+    ]
 
 
 def _keep_best(shop: _Workshop) -> None:
@@ -164,15 +219,16 @@ def _keep_best(shop: _Workshop) -> None:
     seeds = range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation)
     finals: list[dict[str, Any]] = []
     for turn, segment in shop.log.best(FINALISTS):
-        load_state(_checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser)
+        load_state(checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser)
         for threshold in course.thresholds:
             found = _validated(shop, threshold, seeds)
             finals.append({"round": turn, "segment": segment, "threshold": threshold, "validation": found})
     best = min(finals, key=lambda final: worth(final["validation"]))
-    load_state(_checkpoint(shop.folder, best["round"], best["segment"]), shop.network, shop.optimiser)
+    load_state(checkpoint(shop.folder, best["round"], best["segment"]), shop.network, shop.optimiser)
     notes = {"course": json.loads(json.dumps(asdict(course))), "chosen": best, "finalists": finals}
-    save_model(shop.folder, SavedModel(shop.network, best["threshold"], notes))
+    save_model(shop.folder, SavedModel(shop.network, best["threshold"], notes, shop.family))
 
 
-def _checkpoint(folder: Path, turn: int, segment: int) -> Path:
+def checkpoint(folder: Path, turn: int, segment: int) -> Path:
+    """Where the network is kept as it was after a segment."""
     return folder / "checkpoints" / f"round_{turn}_segment_{segment}.safetensors"

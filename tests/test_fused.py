@@ -13,14 +13,15 @@ from torch.nn.functional import cross_entropy
 import cad_env
 import policies
 from cad_env.compiled import cache_folder
-from cad_env.env import CADEnv
-from cad_env.planner import Expert
+from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, fit
-from policies.demonstrations import Frames, record
 from policies.driver import LearnedPolicy
+from policies.family import Frames
 from policies.fused import FusedNet, fused_logits, supports
 from policies.fused_attention import exponentials
+from policies.recording import joined, record, replay
 from policies.stgraph import StGraphConfig, StGraphNet
+from policies.stgraph_family import FAMILY
 
 torch.set_num_threads(1)
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="plain Python takes the dense way")
@@ -42,7 +43,8 @@ Arrays = dict[str, np.ndarray]
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Frames:
     folder = tmp_path_factory.mktemp("demonstrations")
-    return record(folder, [CADEnv(scenario="left_turn")], Expert(), range(8), lambda _: None)
+    envs = CADVectorEnv(8, scenario="left_turn")
+    return FAMILY.frames(*replay(joined(record(folder, envs, None, range(8), lambda _: None)), envs, FAMILY.look))
 
 
 def differences(net: StGraphNet, batch: Arrays) -> tuple[float, float]:
@@ -204,11 +206,11 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
 def test_training_fused_goes_where_training_dense_goes(recorded: Frames, monkeypatch: pytest.MonkeyPatch) -> None:
     ends = []
     for way in (fused_logits, StGraphNet.forward):
-        monkeypatch.setattr("policies.cloning.fused_logits", way)
+        monkeypatch.setattr("policies.stgraph_family.fused_logits", way)
         net = StGraphNet(seed=5).double()
         adam = torch.optim.Adam(net.parameters(), lr=1e-3)
         rng = np.random.default_rng(0)
-        fit(net, adam, {"left_turn": recorded}, Recipe(batch=16), range(10), 10, rng, lambda _: None)
+        fit(FAMILY, net, adam, {"left_turn": recorded}, Recipe(batch=16), range(10), 10, rng, lambda _: None)
         ends.append(torch.cat([parameter.detach().flatten() for parameter in net.parameters()]))
     assert float((ends[0] - ends[1]).abs().max()) < 1e-7
 

@@ -17,6 +17,11 @@ ROOT = Path(__file__).parents[1]
 TINY = ["--episodes", "6", "--corrections", "0", "--steps", "9", "--validation", "2", "--score", "2"]
 
 
+def claimed(settings: train.TrainSettings) -> None:
+    for lesson, course in settings.lessons():
+        train.claim(lesson.folder, course)
+
+
 def command(*arguments: str) -> list[str]:
     return [sys.executable, str(ROOT / "train.py"), *arguments]
 
@@ -25,14 +30,14 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     out = tmp_path / "run"
     first = subprocess.Popen(command(*TINY, "--out", str(out)), stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     deadline = time.monotonic() + 300
-    while not list(out.glob("*/demonstrations/*/*/*.npz")) and time.monotonic() < deadline:
+    while not list(out.glob("recording/*/*.npz")) and time.monotonic() < deadline:
         time.sleep(0.05)
     first.send_signal(signal.SIGINT)
     _, errors = first.communicate(timeout=120)
     assert first.returncode == 130
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
-    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("*/demonstrations/*/*/*.npz")}
+    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("recording/*/*.npz")}
     assert kept
     second = subprocess.run(
         command(*TINY, "--out", str(out)), capture_output=True, text=True, cwd=tmp_path, timeout=900, check=False
@@ -43,7 +48,7 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     for name in ("shared", "own"):
         assert {"model.safetensors", "config.json", "metrics.csv"} <= {p.name for p in (out / name).iterdir()}
     rows = json.loads(next(out.glob("scores_*/scores.json")).read_text())
-    assert {row["contender"] for row in rows} == set(train.SCORED)
+    assert {row["contender"] for row in rows} == {*train.RULES, "stgraph", "stgraph-own"}
 
 
 @pytest.mark.parametrize(
@@ -56,6 +61,9 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
         (["--episodes", "0"], "episodes must be a number from 1"),
         (["--steps", "many"], "steps"),
         (["--setps", "9"], "setps"),
+        (["--row", "stgraf"], "stgraf.*stgraph-own"),
+        (["--seed", "1", "1"], "seed must name at least one, each once"),
+        (["--mixing", "2"], "mixing must be a number from 0 to 1"),
     ],
 )
 def test_bad_input_is_one_clear_line(
@@ -70,14 +78,14 @@ def test_bad_input_is_one_clear_line(
 
 def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings = train.TrainSettings(out=tmp_path / "run", steps=9)
-    train.claim(settings)
-    train.claim(settings)
+    claimed(settings)
+    claimed(settings)
     assert train.main(["--out", str(tmp_path / "run"), "--steps", "12"]) == 2
     assert "steps=9, now 12" in capsys.readouterr().err
 
 
 def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    train.claim(train.TrainSettings(out=tmp_path / "run", scenario=("left_turn",)))
+    claimed(train.TrainSettings(out=tmp_path / "run", scenario=("left_turn",)))
     others = tuple(name for name in SCENARIOS if name != "left_turn")
     assert train.main(["--out", str(tmp_path / "run"), "--scenario", *others]) == 2
     error = capsys.readouterr().err

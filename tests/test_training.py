@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from cad_env.env import CADEnv
-from cad_env.planner import Expert
 from cad_env.scenarios import SCENARIOS
 from cad_env.types import BRAKE
+from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, Worth, balanced, fit, load_state, save_state
-from policies.demonstrations import Frames, record
+from policies.family import Frames
 from policies.metrics import Log
+from policies.recording import joined, record, replay
 from policies.saved import ModelError, load_model
 from policies.stgraph import StGraphNet
+from policies.stgraph_family import FAMILY
 from policies.training import Course, train
 
 NAMES = tuple(SCENARIOS)[:2]
@@ -28,7 +29,12 @@ TINY = Course(
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Frames]:
     folder = tmp_path_factory.mktemp("frames")
-    return {name: record(folder / name, [CADEnv(scenario=name)], Expert(), range(6), lambda n: None) for name in NAMES}
+    found = {}
+    for name in NAMES:
+        envs = CADVectorEnv(6, scenario=name)
+        recorded = joined(record(folder / name, envs, None, range(6), lambda n: None))
+        found[name] = FAMILY.frames(*replay(recorded, envs, FAMILY.look))
+    return found
 
 
 def test_every_scenario_has_its_share_of_a_batch_and_a_third_of_it_brakes() -> None:
@@ -50,9 +56,9 @@ def test_the_loss_falls(frames: dict[str, Frames]) -> None:
     network = StGraphNet(seed=0)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
     rng, recipe = np.random.default_rng(0), Recipe(batch=32, learning_rate=1e-2)
-    first = fit(network, optimiser, frames, recipe, range(5), 60, rng, lambda n: None)
-    fit(network, optimiser, frames, recipe, range(5, 55), 60, rng, lambda n: None)
-    last = fit(network, optimiser, frames, recipe, range(55, 60), 60, rng, lambda n: None)
+    first = fit(FAMILY, network, optimiser, frames, recipe, range(5), 60, rng, lambda n: None)
+    fit(FAMILY, network, optimiser, frames, recipe, range(5, 55), 60, rng, lambda n: None)
+    last = fit(FAMILY, network, optimiser, frames, recipe, range(55, 60), 60, rng, lambda n: None)
     assert last < 0.9 * first
 
 
@@ -72,7 +78,17 @@ def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames
                 optimiser = torch.optim.Adam(network.parameters())
                 load_state(tmp_path / "state.safetensors", network, optimiser)
             rng = np.random.default_rng(part)
-            fit(network, optimiser, frames, Recipe(batch=16), range(3 * part, 3 * part + 3), 6, rng, lambda n: None)
+            fit(
+                FAMILY,
+                network,
+                optimiser,
+                frames,
+                Recipe(batch=16),
+                range(3 * part, 3 * part + 3),
+                6,
+                rng,
+                lambda n: None,
+            )
         return torch.cat([value.flatten() for value in network.state_dict().values()])
 
     torch.testing.assert_close(weights(stop=True), weights(stop=False), rtol=0, atol=0)

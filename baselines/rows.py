@@ -1,0 +1,65 @@
+"""The learned rows of the tables: which network, what is shared with it, and how it is trained.
+
+Every row learns from the same recorded episodes. Names in brackets are the paper's.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from cad_env.types import FRAMES
+
+SHARED = ("nothing", "graph", "points", "features")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A learned contender."""
+
+    name: str
+    family: str = "stgraph"  # by its name in baselines.families
+    config: Mapping[str, Any] = field(default_factory=dict)  # knobs of its network, where they differ from the default
+    shares: str = "graph"  # one of SHARED
+    depth: int = FRAMES  # newest frames in a message
+    corrections: int | None = None  # DAgger rounds; None: as many as a run is asked for
+    radio: str | None = None  # what it is trained on; None: what a run is asked for
+    recipe: Mapping[str, Any] = field(default_factory=dict)  # of policies.cloning.Recipe, where it differs
+    pace: float = 1.0  # optimiser steps, as a share of those that a run is asked for
+    folder: str = ""  # of its model; default: its name
+    begins_as: str = ""  # the row whose first round is the same, so that it need not be trained twice
+
+    @property
+    def model(self) -> str:
+        """The folder of its model among the models of a training seed."""
+        return self.folder or self.name
+
+    @property
+    def blind(self) -> bool:
+        """Whether it sees nothing at all."""
+        return self.family == "command"
+
+
+POINTS = {"batch": 48, "learning_rate": 2e-3}  # a sample costs ten times that of a graph
+_ROWS = (
+    Row("stgraph", folder="shared"),  # the paper's "Ours"; clones, and then corrects
+    Row("stgraph-own", shares="nothing", folder="own"),  # [T-NS]
+    Row("command-only", "command", shares="nothing"),
+    Row("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]
+    Row("collab-gat", config={"temporal": False}, depth=1),  # [Collab-GAT, NT-S]
+    # A whole cloud is refused by every radio with a budget, so this row learns what sharing could be worth.
+    Row("raw-points", "point_transformer", shares="points", radio="ideal", recipe=POINTS, pace=0.5),
+    Row("compressed", "compressed", shares="features", recipe=POINTS, pace=0.5),
+    Row("stgraph-no-edges", config={"edge_attributes": False}),  # [Ours without edge attributes]
+    Row("stgraph-bc", corrections=0, begins_as="stgraph"),  # clones only, as the paper does
+    Row("stgraph-velocity", config={"velocity": True}),  # a departure: nodes carry their velocity
+)
+
+ROWS: Mapping[str, Row] = MappingProxyType({row.name: row for row in _ROWS})
+
+
+def row_named(name: str) -> Row:
+    """The row called `name`; ValueError that lists the choices otherwise."""
+    if name not in ROWS:
+        raise ValueError(f"unknown row {name!r}: choose among {', '.join(ROWS)}")
+    return ROWS[name]

@@ -22,14 +22,15 @@ def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
         "episodes": len(episodes), "collisions": outcomes.count("collision"), "timeouts": outcomes.count("timeout"),
         "failures": len(outcomes) - outcomes.count("success"),
         "mean_time": round(sum(episode.time for episode in episodes) / len(episodes), 3),
-        "needless_brakes": round(sum(episode.brakes > 0 for episode in calm) / max(len(calm), 1), 4),
+        "calm": len(calm), "needless_brakes": sum(episode.brakes > 0 for episode in calm),
     }  # fmt: skip
 
 
 def worth(rows: Iterable[Row]) -> Worth:
     """The worth of a driver by its summaries, one a scenario, all of equally many episodes."""
     found = list(rows)
-    return Worth(sum(row["failures"] for row in found), sum(row["mean_time"] for row in found) / len(found))
+    failures, needless = (sum(row[name] for row in found) for name in ("failures", "needless_brakes"))
+    return Worth(failures, needless, sum(row["mean_time"] for row in found) / len(found))
 
 
 class Log:
@@ -37,7 +38,7 @@ class Log:
 
     COLUMNS = (
         "round", "segment", "scenario", "loss", "threshold", "episodes", "collisions", "timeouts", "failures",
-        "mean_time", "needless_brakes",
+        "mean_time", "calm", "needless_brakes",
     )  # fmt: skip
 
     def __init__(self, path: Path) -> None:

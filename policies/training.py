@@ -54,7 +54,7 @@ class Course:
     segments: int = 3  # parts of a round; a checkpoint and a validation after each
     validation: int = 60  # episodes after each segment
     final_validation: int = 100  # episodes for each of the best checkpoints and thresholds
-    thresholds: tuple[float, ...] = (0.65, 0.5, 0.35)
+    thresholds: tuple[float, ...] = (0.8, 0.65, 0.5, 0.35)
     recipe: Recipe = field(default_factory=Recipe)
     family: str = "stgraph"
     network: Any = field(default_factory=StGraphConfig)  # of the family's config type

@@ -63,8 +63,13 @@ def test_the_loss_falls(frames: dict[str, Frames]) -> None:
 
 
 def test_fewer_failures_are_worth_more_and_then_less_time() -> None:
-    assert Worth(1, 20.0) < Worth(2, 10.0)
-    assert Worth(1, 10.0) < Worth(1, 20.0)
+    assert Worth(1, 0, 20.0) < Worth(2, 0, 10.0)
+    assert Worth(1, 0, 10.0) < Worth(1, 0, 20.0)
+
+
+def test_ten_needless_brakes_are_worse_than_a_failure() -> None:
+    assert Worth(1, 0, 10.0) < Worth(0, 11, 10.0)
+    assert Worth(0, 9, 10.0) < Worth(1, 0, 10.0)
 
 
 def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames], tmp_path: Path) -> None:

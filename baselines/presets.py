@@ -38,8 +38,8 @@ class Preset:
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "quick": Preset(
-            seeds=(0,), episodes=150, corrections=1, corrected_episodes=40, steps=900, validation=16, open_loop=24,
-            scored=100, swept=16, sweep_points=ENDS, ppo_steps=60_000,
+            seeds=(0,), episodes=200, corrections=1, corrected_episodes=60, steps=1200, validation=18, open_loop=40,
+            scored=150, swept=24, sweep_points=ENDS, ppo_steps=60_000,
         ),
         "full": Preset(
             seeds=(0, 1, 2), episodes=600, corrections=2, corrected_episodes=200, steps=2400, validation=60,

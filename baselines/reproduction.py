@@ -139,14 +139,20 @@ def _own_radio(row: str) -> str:
 def work_of(plan: Plan, task: Task) -> float:
     """What `perform` tells its `advance`, about."""
     if task.stage == "train":
-        return course_of(ROWS[task.row], task.seed, plan.budget()).work() if task.row in ROWS else 1.0
+        work = course_of(ROWS[task.row], task.seed, plan.budget()).work() if task.row in ROWS else 1.0
+        return _cost(task.row) * work
     made, scenes = plan.preset, len(plan.scenarios)
-    return EPISODE * {"open": made.open_loop, "closed": made.scored * scenes, "sweep": made.swept * scenes}[task.stage]
+    episodes = {"open": made.open_loop, "closed": made.scored * scenes, "sweep": made.swept * scenes}
+    return _cost(task.row) * EPISODE * episodes[task.stage]
+
+
+def _cost(row: str) -> float:
+    return ROWS[row].cost if row in ROWS else 1.0
 
 
 def perform(plan: Plan, task: Task, advance: Advance) -> None:
     """Do it, or as much of it as is still to do."""
-    STAGES[task.stage](plan, task, advance)
+    STAGES[task.stage](plan, task, lambda work: advance(_cost(task.row) * work))
 
 
 def _train(plan: Plan, task: Task, advance: Advance) -> None:

@@ -26,6 +26,7 @@ class Row:
     radio: str | None = None  # what it is trained on; None: what a run is asked for
     recipe: Mapping[str, Any] = field(default_factory=dict)  # of policies.cloning.Recipe, where it differs
     pace: float = 1.0  # optimiser steps, as a share of those that a run is asked for
+    cost: float = 1.0  # of a frame, driven or learned from, where that of a graph is 1: for an honest progress bar
     folder: str = ""  # of its model; default: its name
     begins_as: str = ""  # the row whose first round is the same, so that it need not be trained twice
 
@@ -40,7 +41,8 @@ class Row:
         return self.family == "command"
 
 
-POINTS = {"batch": 48, "learning_rate": 2e-3}  # a sample costs ten times that of a graph
+POINTS = {"batch": 48, "learning_rate": 2e-3}  # a frame costs ten times that of a graph
+
 _ROWS = (
     Row("stgraph", folder="shared"),  # the paper's "Ours"; clones, and then corrects
     Row("stgraph-own", shares="nothing", folder="own"),  # [T-NS]
@@ -48,8 +50,8 @@ _ROWS = (
     Row("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]
     Row("collab-gat", config={"temporal": False}, depth=1),  # [Collab-GAT, NT-S]
     # A whole cloud is refused by every radio with a budget, so this row learns what sharing could be worth.
-    Row("raw-points", "point_transformer", shares="points", radio="ideal", recipe=POINTS, pace=0.5),
-    Row("compressed", "compressed", shares="features", recipe=POINTS, pace=0.5),
+    Row("raw-points", "point_transformer", shares="points", radio="ideal", recipe=POINTS, pace=0.5, cost=12.0),
+    Row("compressed", "compressed", shares="features", recipe=POINTS, pace=0.5, cost=12.0),
     Row("stgraph-no-edges", config={"edge_attributes": False}),  # [Ours without edge attributes]
     Row("stgraph-bc", corrections=0, begins_as="stgraph"),  # clones only, as the paper does
     Row("stgraph-velocity", config={"velocity": True}),  # a departure: nodes carry their velocity

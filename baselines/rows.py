@@ -49,9 +49,9 @@ _ROWS = (
     Row("command-only", "command", shares="nothing"),
     Row("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]
     Row("collab-gat", config={"temporal": False}, depth=1),  # [Collab-GAT, NT-S]
-    # A whole cloud is refused by every radio with a budget, so this row learns what sharing could be worth.
+    # What these two send is more than dsrc lets a vehicle send, so they learn what sharing could be worth.
     Row("raw-points", "point_transformer", shares="points", radio="ideal", recipe=POINTS, pace=0.5, cost=12.0),
-    Row("compressed", "compressed", shares="features", recipe=POINTS, pace=0.5, cost=12.0),
+    Row("compressed", "compressed", shares="features", radio="ideal", recipe=POINTS, pace=0.5, cost=12.0),
     Row("stgraph-no-edges", config={"edge_attributes": False}),  # [Ours without edge attributes]
     Row("stgraph-bc", corrections=0, begins_as="stgraph"),  # clones only, as the paper does
     Row("stgraph-velocity", config={"velocity": True}),  # a departure: nodes carry their velocity

@@ -18,7 +18,6 @@ from cad_env.vector import CADVectorEnv
 from policies.family import Family, Frames
 from policies.saved import ModelError
 
-
 NEEDLESS_COST = 0.1  # failures that a needless brake is as bad as
 
 

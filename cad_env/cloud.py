@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from cad_env.config import check_names, check_range
-from cad_env.pipeline.observe import HORIZON
+from cad_env.pipeline.observe import HORIZON, observation_space
 from cad_env.pipeline.points import MOST_POINTS, RawPoints
 from cad_env.types import Floats, Ints
 
@@ -30,7 +30,7 @@ class CloudCodec(Protocol):
     def encode(self, clouds: Sequence[Floats]) -> list[bytes]:
         """A payload for each of a batch of clouds (n, 3) m, as cast: ground included, in the vehicles' own frames.
 
-        An encoder of few points begins with `pipeline.points.thinned`.
+        An encoder of few points begins with `pipeline.points.thinned`. The arrays are lent: the next batch is in them.
         """
 
     def decode(self, payload: bytes) -> Floats:
@@ -76,15 +76,14 @@ def empty_cloud_view(config: CloudConfig, *lead: int) -> CloudView:
     )
 
 
-def cloud_boxes(config: CloudConfig | None) -> dict[str, spaces.Space[Any]]:
-    """What clouds add to the observation space: nothing without them."""
-    if config is None:
-        return {}
-    view = empty_cloud_view(config)
-    return {
-        "cloud": spaces.Box(-HORIZON, HORIZON, view.cloud.shape, np.float32),
-        "cloud_mask": spaces.Box(0, 1, view.cloud_mask.shape, np.int8),
-    }
+def space_with(config: CloudConfig | None) -> spaces.Dict:
+    """The space of the ego's observation: that of graphs, and with clouds their two boxes."""
+    boxes = dict(observation_space().spaces)
+    if config is not None:
+        view = empty_cloud_view(config)
+        boxes["cloud"] = spaces.Box(-HORIZON, HORIZON, view.cloud.shape, np.float32)
+        boxes["cloud_mask"] = spaces.Box(0, 1, view.cloud_mask.shape, np.int8)
+    return spaces.Dict(boxes)
 
 
 def cloud_config(given: Any) -> CloudConfig | None:

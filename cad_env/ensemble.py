@@ -52,7 +52,7 @@ class Ensemble:
         play(self._board.scenes, which, actions, True)
         if self._board.clouds is not None:
             every = [self.simulations[place].sharing for place in which.tolist()]
-            exchange([sharing for sharing in every if sharing is not None])
+            exchange([sharing for sharing in every if sharing is not None], self._board.rooms)
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""

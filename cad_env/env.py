@@ -9,13 +9,14 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 
+from cad_env.cloud import space_with
 from cad_env.config import check_names
 from cad_env.drawing.framing import screen
 from cad_env.drawing.layers import LAYERS, checked_layers
 from cad_env.drawing.viewer import SceneViewer
 from cad_env.planner import Truth
 from cad_env.scenarios import scenario_named
-from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from, space_of
+from cad_env.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
 from cad_env.types import BRAKE, GO, Floats, Observation
 from cad_env.views import WorldRoad
 
@@ -75,16 +76,16 @@ class CADEnv(AbstractEnv):
             given["layers"] = checked_layers(given["layers"])
         if "scenario" in given:
             given = {**screen(scenario_named(given["scenario"]).map), **given}
-        super().configure(given)
-        setup = setup_from({k: v for k, v in self.config.items() if k in _SETUP})
+        setup = setup_from({k: v for k, v in {**self.config, **given}.items() if k in _SETUP})
         if hasattr(self, "simulation") and self.simulation.setup.cloud != setup.cloud:
             raise ValueError(f"cloud is a part of the observation and cannot change later, got {setup.cloud!r}")
+        super().configure(given)
         self.simulation = Simulation(setup)
 
     def define_spaces(self) -> None:
         """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""
         self.observation_type = self.action_type = None
-        self.observation_space: spaces.Dict = space_of(self.simulation.setup)
+        self.observation_space: spaces.Dict = space_with(self.simulation.setup.cloud)
         self.action_space: spaces.Discrete = spaces.Discrete(2)
 
     def reset(

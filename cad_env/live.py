@@ -72,6 +72,7 @@ class Board:
         )  # fmt: skip
         self.views: View = empty_view(places, 1)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
+        self.rooms: list[Floats] = []  # scratch: for clouds before they are encoded
         self._owners: dict[int, LiveScene] = {}  # of the arrays that the list below borrows
         self.scenes: Any = None  # the typed list, once there is a record to tell its type
 

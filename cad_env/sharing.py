@@ -50,6 +50,11 @@ class Sharing:
         self._air: dict[int, Sent] = {}  # by step, the newest `delay` + 1
 
     @property
+    def most_points(self) -> int:
+        """Of one cloud."""
+        return self.config.azimuths * self.config.beams
+
+    @property
     def step(self) -> int:
         """Decisions since the start."""
         return int(self._scene.clock[0])
@@ -58,18 +63,22 @@ class Sharing:
         """Whose clouds are wanted: without a budget nothing goes on the air, and only the ego sees its own."""
         return range(len(self._scene.fleet.rows) if self.link.budget > 0.0 else 1)
 
-    def cloud(self, v: int) -> Floats:
-        """(n, 3) m what connected vehicle v's lidar reports now, in its own frame."""
-        scene, fleet = self._scene, self._scene.fleet
-        cloud = np.empty((self.config.azimuths * self.config.beams, 3))
-        row = int(fleet.rows[v])
-        count = cast(scene.world, fleet.outlines, row, scene.sensor, self._key, self.step, self._rays, cloud)
-        return cloud[:count]
+    def cloud(self, v: int, room: Floats | None = None) -> Floats:
+        """(n, 3) m what connected vehicle v's lidar reports now, in its own frame; a part of `room`."""
+        scene, fleet, row = self._scene, self._scene.fleet, int(self._scene.fleet.rows[v])
+        cloud = np.empty((self.most_points, 3)) if room is None else room
+        return cloud[: cast(scene.world, fleet.outlines, row, scene.sensor, self._key, self.step, self._rays, cloud)]
 
     def own_clouds(self) -> list[OwnCloud]:
         """What each connected vehicle has for itself, thinned to what a message decodes to, at least to KEPT."""
         trail, most = self._scene.fleet.trail, max(KEPT, self.config.codec.most)
         return [OwnCloud(thinned(self.cloud(v), most), trail[v, FRAMES - 1].copy()) for v in range(len(trail))]
+
+    def take(self, contents: Sequence[bytes]) -> None:
+        """One step, given what the codec wrote of every speaker's cloud: send, receive, merge, show and tell."""
+        self.send(contents)
+        self.show(self.config.codec.decode(contents[0]), self.receive())
+        tell_air(self._scene.told, self._scene.fleet.report)
 
     def send(self, contents: Sequence[bytes]) -> None:
         """Put on the air what the codec wrote of every speaker's cloud, as far as the budget goes."""
@@ -128,25 +137,31 @@ class Sharing:
         self.view.cloud_mask[:shown] = 1
 
 
-def exchange(sharings: Sequence[Sharing]) -> None:
-    """One step's exchange in every one of these episodes; clouds of one codec are encoded together."""
+def exchange(sharings: Sequence[Sharing], rooms: list[Floats]) -> None:
+    """One step's exchange in every one of these episodes; clouds of one codec are encoded together.
+
+    rooms: scratch for the clouds of a batch. It is kept between steps, since the pages of new memory cost as much as
+    what is written to them.
+    """
     speakers = [(sharing, v) for sharing in sharings for v in sharing.speakers()]
-    contents = _encoded(speakers)
+    contents = _encoded(speakers, rooms)
     for sharing in sharings:
-        said = [contents[id(sharing), v] for v in sharing.speakers()]
-        sharing.send(said)
-        sharing.show(sharing.config.codec.decode(said[0]), sharing.receive())
-        tell_air(sharing._scene.told, sharing._scene.fleet.report)
+        sharing.take([contents[id(sharing), v] for v in sharing.speakers()])
 
 
-def _encoded(speakers: Sequence[tuple[Sharing, int]]) -> dict[tuple[int, int], bytes]:
+def _encoded(speakers: Sequence[tuple[Sharing, int]], rooms: list[Floats]) -> dict[tuple[int, int], bytes]:
     """What the codecs write of the clouds of (episode, vehicle), by them."""
     contents: dict[tuple[int, int], bytes] = {}
     for codec in {id(sharing.config.codec): sharing.config.codec for sharing, _ in speakers}.values():
         ours = [(sharing, v) for sharing, v in speakers if sharing.config.codec is codec]
         for start in range(0, len(ours), BATCH):
             some = ours[start : start + BATCH]
-            written = codec.encode([sharing.cloud(v) for sharing, v in some])
+            for k, (sharing, _) in enumerate(some):
+                if k == len(rooms):
+                    rooms.append(np.empty((0, 3)))
+                if len(rooms[k]) < sharing.most_points:
+                    rooms[k] = np.empty((sharing.most_points, 3))
+            written = codec.encode([sharing.cloud(v, room) for (sharing, v), room in zip(some, rooms, strict=False)])
             contents.update({(id(sharing), v): one for (sharing, v), one in zip(some, written, strict=True)})
     return contents
 

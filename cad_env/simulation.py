@@ -11,14 +11,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 
 from cad_env.chance import stream_key
-from cad_env.cloud import CloudConfig, OwnCloud, cloud_boxes, cloud_config
+from cad_env.cloud import CloudConfig, OwnCloud, cloud_config
 from cad_env.compiled import announce_compilation
 from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
 from cad_env.live import FINAL_REWARDS, Board, LiveScene, play, verdict
-from cad_env.pipeline.observe import as_observation, empty_view, observation_space
+from cad_env.pipeline.observe import as_observation, empty_view
 from cad_env.pipeline.radio import REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
 from cad_env.pipeline.step import Fleet, new_fleet
@@ -86,11 +85,6 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     return Setup(**given)
 
 
-def space_of(setup: Setup) -> spaces.Dict:
-    """The space of the ego's observation."""
-    return spaces.Dict({**observation_space().spaces, **cloud_boxes(setup.cloud)})
-
-
 class Simulation:
     """The state of one episode, and what happens in a decision step; it has a place on a board, alone or not."""
 
@@ -135,8 +129,7 @@ class Simulation:
     def step(self, actions: Ints) -> None:
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
         self._live.actions[:] = actions
-        play(self._board.scenes, self._which, self._live.actions, True)
-        self._exchange()
+        self._play(True)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_board"}
@@ -149,18 +142,18 @@ class Simulation:
             self._board.put(0, self._live)
 
     def _perceive(self) -> None:
-        play(self._board.scenes, self._which, self._live.actions, False)
-        self._exchange()
+        self._play(False)
 
-    def _exchange(self) -> None:
+    def _play(self, moves: bool) -> None:
+        play(self._board.scenes, self._which, self._live.actions, moves)
         if self.sharing is not None:
-            exchange([self.sharing])
+            exchange([self.sharing], self._board.rooms)
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on; the ego, number 0, is the only one that is shown clouds."""
         seen = as_observation(_at(self.fleet.views, agent))
         if self.sharing is not None and agent == 0:
-            seen.update({name: part.copy() for name, part in self.sharing.view._asdict().items()})
+            seen.update(as_observation(self.sharing.view))
         return seen
 
     def observations(self) -> list[Observation]:

@@ -10,11 +10,12 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from cad_env.cloud import space_with
 from cad_env.config import check_names
 from cad_env.ensemble import Ensemble, masked
 from cad_env.env import checked_hazard
 from cad_env.live import TIMED_OUT, UNDER_WAY
-from cad_env.simulation import setup_from, space_of
+from cad_env.simulation import setup_from
 from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
 
 Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
@@ -54,7 +55,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
             raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]
         self.ensemble = Ensemble([setups[place % len(setups)] for place in range(num_envs)])
-        self.single_observation_space: spaces.Dict = space_of(setups[0])
+        self.single_observation_space: spaces.Dict = space_with(setups[0].cloud)
         self.single_action_space: spaces.Discrete = spaces.Discrete(2)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -24,6 +24,7 @@ _MAGIC = b"CP"
 _HEAD = struct.Struct("<2sBHIiii")
 _CRC = struct.Struct("<I")
 _CENTIMETRE, _MICRORADIAN = 0.01, 1e-6
+_HALF_TURN = int(math.pi / _MICRORADIAN)
 SIZE = _HEAD.size + _CRC.size  # bytes that an envelope adds
 
 
@@ -42,7 +43,7 @@ def seal(envelope: Envelope) -> bytes:
     turn = math.atan2(math.sin(heading), math.cos(heading))
     head = _HEAD.pack(
         _MAGIC, VERSION, envelope.sender, round(envelope.time * 1000.0), round(x / _CENTIMETRE),
-        round(y / _CENTIMETRE), round(turn / _MICRORADIAN),
+        round(y / _CENTIMETRE), min(max(round(turn / _MICRORADIAN), -_HALF_TURN), _HALF_TURN),
     )  # fmt: skip
     return b"".join((head, envelope.content, _CRC.pack(zlib.crc32(envelope.content, zlib.crc32(head)))))
 
@@ -61,7 +62,7 @@ def opened(message: bytes) -> Envelope:
     body = memoryview(message)[: -_CRC.size]
     if zlib.crc32(body) != _CRC.unpack_from(message, len(body))[0]:
         raise DecodeError(f"message of {len(message)} bytes refused: its CRC-32 does not match")
-    if abs(heading) > round(math.pi / _MICRORADIAN):
+    if abs(heading) > _HALF_TURN:
         raise DecodeError(f"message of {len(message)} bytes refused: a heading of more than half a turn")
     pose = x * _CENTIMETRE, y * _CENTIMETRE, heading * _MICRORADIAN
     return Envelope(sender, time_ms / 1000.0, pose, bytes(body[_HEAD.size :]))

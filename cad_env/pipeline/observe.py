@@ -5,7 +5,7 @@ objects is relative to its own.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -72,9 +72,9 @@ def observation_space() -> spaces.Dict:
     )
 
 
-def as_observation(view: View) -> Observation:
-    """A copy of a view as the dictionary that the environments return."""
-    return {name: getattr(view, name).copy() for name in View._fields}
+def as_observation(view: Any) -> Observation:
+    """A copy of a view, a record of arrays, as the dictionary that the environments return."""
+    return {name: getattr(view, name).copy() for name in view._fields}
 
 
 @compiled

@@ -7,6 +7,7 @@ A raw message is what a lidar reports, ground and all, in whole centimetres of t
 """
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,7 +26,8 @@ REACH = 327.67  # m, the largest coordinate of two bytes of centimetres
 
 _COUNT = 4  # bytes
 _POINT = 6  # bytes
-_MIX = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio spreads neighbouring voxels (Knuth, vol. 3, 6.4)
+# Spreads voxels over a table: Teschner et al., "Optimized spatial hashing for collision detection", VMV 2003.
+_SPREAD = (73856093, 19349663, 83492791)
 _CENTIMETRE, _METRE = np.float64(0.01), np.float64(1.0)
 
 
@@ -66,12 +68,13 @@ def _first_in_voxels(points: Floats, unit: float, chosen: Ints, count: int) -> i
     table = np.full(size, -1, np.int64)  # open addressing: the key of a voxel, which is never negative
     left = 0
     for c in range(count):
-        i, key = chosen[c], np.int64(0)
+        i, key, at = chosen[c], 0, 0
         for axis in range(3):
             # From whole centimetres, so that a wall on the edge of a voxel does not flicker with the last bit.
             place = math.floor(points[i, axis] * unit * 100.0 + 0.5) // VOXEL
-            key = key << 21 | min(max(place, -(1 << 20)), (1 << 20) - 1) + (1 << 20)
-        at = np.int64((np.uint64(key) * _MIX) >> np.uint64(32)) & (size - 1)
+            place = min(max(place, -(1 << 20)), (1 << 20) - 1) + (1 << 20)
+            key, at = key << 21 | place, at ^ place * _SPREAD[axis]
+        at &= size - 1
         while table[at] != -1 and table[at] != key:
             at = (at + 1) & (size - 1)
         if table[at] == -1:
@@ -124,13 +127,17 @@ class RawPoints:
         if len(payload) < _COUNT or count > MOST_POINTS or len(payload) != _COUNT + _POINT * count:
             raise DecodeError(f"raw points of {len(payload)} bytes refused: they are not a count and so many points")
         units = np.frombuffer(payload, "<i2", 3 * count, _COUNT).reshape(count, 3)
-        return _thin(units.astype(np.int16), _CENTIMETRE, self.most)
+        return _thin(units.astype(np.int16, copy=False), _CENTIMETRE, self.most)
 
 
 def _written(cloud: Floats) -> bytes:
     if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) > MOST_POINTS:
         raise ValueError(f"a cloud must be (n <= {MOST_POINTS}, 3), got {cloud.shape}")
-    units = np.empty(cloud.shape, np.int16)
+    payload = np.empty(_COUNT + _POINT * len(cloud), np.uint8)
+    payload[:_COUNT] = np.frombuffer(len(cloud).to_bytes(_COUNT, "little"), np.uint8)
+    units = payload[_COUNT:].view(np.int16).reshape(cloud.shape)
     if not _to_centimetres(cloud, units):
         raise ValueError(f"coordinates of a cloud must be from {-REACH:g} to {REACH:g} m, got {np.abs(cloud).max():g}")
-    return len(cloud).to_bytes(_COUNT, "little") + units.astype("<i2", copy=False).tobytes()
+    if sys.byteorder == "big":
+        units.byteswap(inplace=True)
+    return payload.tobytes()

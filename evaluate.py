@@ -1,6 +1,7 @@
 """Score contenders in closed loop, on the same seeds, and print the table with its intervals.
 
 python evaluate.py --scenario left_turn --contender always-go expert stgraph --episodes 500 --jobs 2
+python evaluate.py --policy runs/all/seed_0 runs/all/seed_1 --contender expert stgraph     a run for each training seed
 python evaluate.py --merge results/shard_1_of_2 results/shard_2_of_2
 """
 
@@ -72,6 +73,8 @@ def put_together(words: Sequence[str]) -> int:
 
 def scored(settings: Settings) -> int:
     """Score, print the table, and return the exit code; whatever stops it becomes one line on standard error."""
+    if len(settings.policy) > 1:
+        return scored_by_seed(settings)
     try:
         from baselines.scoring import completed, opened  # here, so that --help is quick
 
@@ -92,6 +95,21 @@ def scored(settings: Settings) -> int:
     except (KeyboardInterrupt, BrokenExecutor) as error:
         total = sum(len(task.seeds) for task in settings.tasks())
         return stopped(error, f" after {len(store.records)} of {total} episodes")
+    return 0
+
+
+def scored_by_seed(settings: Settings) -> int:
+    """The same for models of several training seeds: a run for each, then one table of all."""
+    from baselines.scoring import score
+    from baselines.spread import runs_of, spread_table, spreads
+
+    runs = runs_of(settings)
+    for run in runs.values():
+        if code := scored(run):
+            return code
+    if settings.shard is None:
+        print(spread_table(spreads([score(run) for run in runs.values()])))
+        print(f"Each training seed has a folder of its own in {settings.out}.")
     return 0
 
 

@@ -40,12 +40,16 @@ class Row:
         return self.family == "command"
 
 
+POINTS = {"batch": 48, "learning_rate": 2e-3}  # a sample costs ten times that of a graph
 _ROWS = (
     Row("stgraph", folder="shared"),  # the paper's "Ours"; clones, and then corrects
     Row("stgraph-own", shares="nothing", folder="own"),  # [T-NS]
     Row("command-only", "command", shares="nothing"),
     Row("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]
     Row("collab-gat", config={"temporal": False}, depth=1),  # [Collab-GAT, NT-S]
+    # A whole cloud is refused by every radio with a budget, so this row learns what sharing could be worth.
+    Row("raw-points", "point_transformer", shares="points", radio="ideal", recipe=POINTS, pace=0.5),
+    Row("compressed", "compressed", shares="features", recipe=POINTS, pace=0.5),
     Row("stgraph-no-edges", config={"edge_attributes": False}),  # [Ours without edge attributes]
     Row("stgraph-bc", corrections=0, begins_as="stgraph"),  # clones only, as the paper does
     Row("stgraph-velocity", config={"velocity": True}),  # a departure: nodes carry their velocity

@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from concurrent.futures import as_completed
 from contextlib import closing
 from dataclasses import asdict
@@ -40,16 +40,27 @@ def opened(settings: Settings) -> Store:
     return Store(settings.folder(), identity(settings))
 
 
-def completed(settings: Settings, store: Store) -> list[Scorecard]:
-    """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only."""
+def completed(settings: Settings, store: Store, advance: Callable[[int], object] | None = None) -> list[Scorecard]:
+    """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only.
+
+    `advance` is told of finished episodes, and no bar is drawn then.
+    """
     keys = [key for task in settings.tasks() for key in task.episodes()]
     with (
-        tqdm(total=len(keys), initial=len(store.records), unit="episode", smoothing=0.1, disable=None) as bar,
+        tqdm(
+            total=len(keys),
+            initial=len(store.records),
+            unit="episode",
+            smoothing=0.1,
+            disable=True if advance else None,
+        ) as bar,
         closing(_driven(settings, _missing(settings, store))) as finished,
     ):
         for records in finished:
             store.append(records)
             bar.update(len(records))
+            if advance:
+                advance(len(records))
     rows = scorecards(store.put_in_order(keys))
     if settings.shard is None:
         store.write_scores(rows)
@@ -59,7 +70,8 @@ def completed(settings: Settings, store: Store) -> list[Scorecard]:
 def identity(settings: Settings) -> dict[str, Any]:
     """All that the episodes depend on: settings, models and the code of the scenes; and the command, as a note."""
     names = (
-        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "depth",
+        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
+        "collaborators", "depth",
     )  # fmt: skip
     models = {name: contender_named(name).model for name in settings.contender}
     return {
@@ -108,6 +120,7 @@ def _record(episode: Episode) -> Record:
         int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
         round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
         None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
+        episode.connected, round(episode.hardest_brake, 6),
     )  # fmt: skip
 
 

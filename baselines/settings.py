@@ -1,5 +1,6 @@
 """What a scoring run is asked for; also the command line of evaluate.py."""
 
+import math
 import shlex
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from baselines.cluster import check_ray
 from baselines.contenders import SHIPPED, Contender, contender_named, shipped_models
 from baselines.grid import Task, grid, shard_of
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
-from cad_env.types import FRAMES
+from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL = ("all",)
@@ -41,9 +42,13 @@ class Settings:
     penetration: float | None = None  # share of the vehicles that is connected; default: two to four
     radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
+    burst: float | None = None  # mean slots in a row that the ego misses of a sender; default: each by itself
     delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own
+    budget: float | None = None  # bytes of one sender in 0.1 s; a message above is refused whole; default: the radio's
     sensor_noise: float = SensorConfig.noise  # m, standard deviation of each coordinate of a detection
     gnss_noise: float = SensorConfig.gnss_noise  # m, standard deviation of a vehicle's own position
+    gnss_yaw_noise: float = 0.0  # degrees, standard deviation of a vehicle's own heading
+    collaborators: int | None = None  # connected vehicles besides the ego; default: two to four
     hazard: str = "all"  # yes or no: only episodes with or without one; all: as the seed decides
     depth: int = FRAMES  # newest frames in a message
 
@@ -54,6 +59,8 @@ class Settings:
             names = getattr(self, what)
             if not names or len(set(names)) < len(names):
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
+        if len({folder.name for folder in self.policy}) < len(self.policy):
+            raise ValueError(f"policy folders must have different names, got {' '.join(map(str, self.policy))}")
         check_range("episodes", self.episodes, 1, 10_000_000)
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)
@@ -89,7 +96,10 @@ class Settings:
         return {
             "scenario": scenario,
             "radio": radio,
-            "sensor": SensorConfig(noise=self.sensor_noise, gnss_noise=self.gnss_noise),
+            "sensor": SensorConfig(
+                noise=self.sensor_noise, gnss_noise=self.gnss_noise, gnss_yaw_noise=math.radians(self.gnss_yaw_noise)
+            ),
+            "ranges": {} if self.collaborators is None else {"collaborators": (self.collaborators,) * 2},
             "depth": depth,
             "traffic": self.traffic,
             "penetration": self.penetration,
@@ -97,7 +107,8 @@ class Settings:
 
     def radio_config(self) -> RadioConfig:
         """The preset with what was overridden."""
-        chosen = {"loss": self.loss, "delay": self.delay}
+        rate = None if self.budget is None else 8.0 * self.budget / STEP
+        chosen = {"loss": self.loss, "burst": self.burst, "delay": self.delay, "rate": rate}
         return replace(radio_config(self.radio), **{name: value for name, value in chosen.items() if value is not None})
 
     def seeds(self) -> range:

@@ -46,13 +46,14 @@ def _wall(act: Callable[[], object]) -> float:
 
 
 MEMORY = f"""
-import resource, sys, gymnasium as gym, numpy as np, cad_env
+import sys, gymnasium as gym, numpy as np, cad_env
 count = int(sys.argv[1])
 env = gym.make_vec({ENV_ID!r}, num_envs=count, vectorization_mode="vector_entry_point")
 env.reset(seed=0)
 for _ in range(100):
     env.step(np.zeros(count, np.int64))
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(int(peak.split()[1]) / 1024)
 """
 
 RECORDING = """
@@ -68,7 +69,9 @@ print(time.process_time() - start)
 
 
 def memory_figures() -> dict[str, list[float]]:
-    """Peak memory, MB, of a process with one scene and with 1,024."""
+    """Peak memory, MB, of a process with one scene and with 1,024; on Linux only, which keeps count of it."""
+    if not Path("/proc/self/status").exists():
+        return {}
     return {f"memory, {count:,} scenes (MB)": [float(_run(["-c", MEMORY, str(count)]).stdout)] for count in (1, 1024)}
 
 
@@ -76,7 +79,19 @@ def work_figures() -> dict[str, list[float]]:
     """Seconds that 1,000 recorded expert episodes and 500 scored episodes of the shipped network take."""
     with tempfile.TemporaryDirectory() as folder:
         recording = float(_run(["-c", RECORDING, folder]).stdout)
-        score = ["evaluate.py", "--contender", "stgraph", "--episodes", "500", "--jobs", "2", "--out", folder]
+        score = [
+            "evaluate.py",
+            "--scenario",
+            "left_turn",
+            "--contender",
+            "stgraph",
+            "--episodes",
+            "500",
+            "--jobs",
+            "2",
+            "--out",
+            folder,
+        ]
         scoring = _wall(lambda: _run(score))
     return {
         "recording 1,000 expert episodes, CPU (s)": [recording],

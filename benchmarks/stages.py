@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from cad_env.ensemble import Ensemble
-from cad_env.live import tell
+from cad_env.live import scene_at, tell
 from cad_env.pipeline.codec import write
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.radio import send
@@ -110,9 +110,9 @@ def _looped(stage: Callable[..., None]) -> Callable[..., None]:
     """The stage `calls` times in one compiled call, so that the way from Python is paid once."""
 
     @numba.njit
-    def loop(calls, scenes, place):
+    def loop(calls, shelf, place):
         for _ in range(calls):
-            stage(scenes[place])
+            stage(scene_at(shelf, place))
 
     return loop
 
@@ -127,7 +127,7 @@ class Stages:
         }  # fmt: skip
         self._loops = {name: _looped(stage) for name, stage in stages.items()}
         for loop in self._loops.values():
-            loop(1, live_scenes(1).scenes, 0)
+            loop(1, live_scenes(1).board.shelf, 0)
 
     def measured(self) -> dict[str, float]:
         """Microseconds of each stage in one step of four vehicles, the mean of several scenes and times in them."""
@@ -137,7 +137,7 @@ class Stages:
                 live = live_scenes(age)
                 for place in range(SCENES):
                     start = time.process_time()
-                    loop(CALLS, live.scenes, place)
+                    loop(CALLS, live.board.shelf, place)
                     cost[name] += (time.process_time() - start) / CALLS / SCENES / len(AGES) * 1e6
         # Tracking changes what it is given, so it is timed on fresh detections and their cost is taken off.
         both, sensing = cost.pop("sense and track"), cost["sense"]

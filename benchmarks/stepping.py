@@ -11,6 +11,7 @@ import numpy as np
 from crowd import crowds
 
 import cad_env
+from cad_env.live import scene_at
 from cad_env.world.state import OFF
 from cad_env.world.step import advance
 
@@ -85,9 +86,10 @@ def vector(env: Any, steps: int, first_seed: int) -> Measured:
 
 
 @numba.njit
-def _advance_all(scenes: Any, times: int) -> None:
+def _advance_all(shelf: Any, times: int) -> None:
     for _ in range(times):
-        for scene in scenes:
+        for place in range(SCENES):
+            scene = scene_at(shelf, place)
             advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
 
 
@@ -104,7 +106,7 @@ class World:
             for place in range(SCENES):
                 self._ensemble.start(place, first_seed + result.resets + place, hazard=True)
             start = time.process_time()
-            _advance_all(self._ensemble.scenes, EPISODE)
+            _advance_all(self._ensemble.board.shelf, EPISODE)
             result.stepping += time.process_time() - start
             result.resets, result.steps = result.resets + SCENES, result.steps + SCENES * EPISODE
             result.vehicles += sum(EPISODE * int((s.world.driver != OFF).sum()) for s in self._ensemble.simulations)

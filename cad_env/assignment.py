@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, compiled_part
 from cad_env.types import Floats, Ints
 
 
@@ -22,7 +22,7 @@ def assign(cost: Floats, rows: int, columns: int, gate: float, match: Ints) -> N
     _augment(cost, rows, columns, gate, match)
 
 
-@compiled
+@compiled_part
 def _take_undisputed(cost: Floats, rows: int, columns: int, gate: float, match: Ints) -> bool:
     """True if no row and no column has two partners within the gate: then those pairs are the optimum."""
     taken = np.zeros(columns, np.bool_)
@@ -37,7 +37,7 @@ def _take_undisputed(cost: Floats, rows: int, columns: int, gate: float, match: 
     return True
 
 
-@compiled
+@compiled_part
 def _augment(cost: Floats, rows: int, columns: int, gate: float, match: Ints) -> None:
     """The general case. Column `columns + i` is row i's right to stay alone, so every row finds a place."""
     width = columns + rows

@@ -42,6 +42,11 @@ def inlined(function: Function) -> Function:
     return _compiled(function, from_python=True, inline=True)
 
 
+def inlined_part(function: Function) -> Function:
+    """As `inlined`, without a way in from Python: see `compiled_part`."""
+    return _compiled(function, from_python=False, inline=True)
+
+
 def _compiled(function: Function, from_python: bool, inline: bool = False) -> Function:
     before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(_package(function)))

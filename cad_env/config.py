@@ -40,6 +40,7 @@ class RadioConfig:
     loss: float = 0.05  # probability that one receiver misses one message
     delay: float = 0.0  # s, rounded up to whole decision steps
     range: float = 150.0  # m between sender and receiver (the paper's threshold)
+    burst: float = 1.0  # mean slots in a row that a receiver misses of a sender; 1: each is lost by itself
 
     def __post_init__(self) -> None:
         if self.rate != math.inf:
@@ -48,6 +49,12 @@ class RadioConfig:
         check_range("radio delay", self.delay, 0.0, (FRAMES - 1) * STEP)
         if self.range != math.inf:
             check_range("radio range", self.range, 0.0, 1e6)
+        check_range("radio burst", self.burst, 1.0, 1e4)
+        if self.burst > 1.0 and self.burst * (1.0 - self.loss) < 1.0:
+            # Losses that are independent already come in runs of 1 / (1 - loss).
+            raise ValueError(
+                f"radio burst must be 1 or at least 1 / (1 - loss), got {self.burst!r} at loss {self.loss!r}"
+            )
 
     @property
     def budget(self) -> float:

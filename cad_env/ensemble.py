@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cad_env.cloud import CloudConfig
-from cad_env.live import Board, play
-from cad_env.planner import Truths
+from cad_env.live import Board, Truths, play
 from cad_env.sharing import exchange
 from cad_env.simulation import COLLISION, OUTCOMES, REFUSALS, SUCCESS, Setup, Simulation
 from cad_env.types import Bools, Ints, Observation
@@ -20,20 +19,17 @@ class Ensemble:
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
-        self._board = Board(len(setups), _one_cloud(setups))
-        self.simulations = [Simulation(setup, self._board, place) for place, setup in enumerate(setups)]
+        self.board = Board(
+            len(setups), _one_cloud(setups)
+        )  # for compiled loops of one's own: see `cad_env.live.scene_at`
+        self.simulations = [Simulation(setup, self.board, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
         # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
         self.observations: Observation = {
-            name: part[:, 0] for name, part in zip(self._board.views._fields, self._board.views, strict=True)
+            name: part[:, 0] for name, part in zip(self.board.views._fields, self.board.views, strict=True)
         }
-        if self._board.clouds is not None:
-            self.observations.update(self._board.clouds._asdict())
-
-    @property
-    def scenes(self) -> Any:
-        """The typed list of `LiveScene`, for compiled loops of one's own; there from the first start on."""
-        return self._board.scenes
+        if self.board.clouds is not None:
+            self.observations.update(self.board.clouds._asdict())
 
     def __len__(self) -> int:
         return len(self.simulations)
@@ -49,10 +45,10 @@ class Ensemble:
 
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
-        play(self._board.scenes, which, actions, True)
-        if self._board.clouds is not None:
+        play(self.board.shelf, which, actions, True)
+        if self.board.clouds is not None:
             every = [self.simulations[place].sharing for place in which.tolist()]
-            exchange([sharing for sharing in every if sharing is not None], self._board.rooms)
+            exchange([sharing for sharing in every if sharing is not None], self.board.rooms)
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""
@@ -61,28 +57,28 @@ class Ensemble:
     @property
     def outcomes(self) -> Ints:
         """(S,) int8 how each episode stands, by the numbers of `cad_env.live`; filled anew by every step."""
-        return self._board.told.outcome
+        return self.board.told.outcome
 
     @property
     def rewards(self) -> NDArray[np.float64]:
         """(S,) of the newest step; filled anew by every step."""
-        return self._board.told.reward
+        return self.board.told.reward
 
     def told(self, name: str) -> NDArray[Any]:
         """(S,) one of the numbers of `cad_env.live.Told`; filled anew by every step."""
-        part: NDArray[Any] = getattr(self._board.told, name)
+        part: NDArray[Any] = getattr(self.board.told, name)
         return part
 
     def truths(self, which: Ints) -> Truths:
         """The worlds of the scenes `which`, for a privileged policy."""
-        return Truths(self._board.scenes, which)
+        return Truths(self.board, which)
 
     def infos(self, which: Bools) -> dict[str, Any]:
         """What info says of the newest step of the scenes `which` (S,), as Gymnasium's vectors say it.
 
         For every name of a single environment's info there are the values, (S,), and a mask `_name` of who has one.
         """
-        told = self._board.told
+        told = self.board.told
         outcome = _OUTCOMES[told.outcome]
         values = {
             **self._episodes,

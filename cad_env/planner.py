@@ -11,11 +11,11 @@ with it, and waits at its gate: once it is out there, braking does not help.
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, compiled_part
 from cad_env.config import check_range
 from cad_env.motion import fit_motion, lane_heading
 from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, TRUCK, Floats, Ints, Observation
@@ -70,15 +70,14 @@ class Truth:
     row: int
 
 
-@dataclass(frozen=True)
-class Truths:
-    """The same of the egos of many scenes: the typed list of live scenes, and which of them, (n,)."""
+class Truths(Protocol):
+    """The same of the egos of n scenes, which know how to ask all of them."""
 
-    scenes: Any
-    which: Ints
+    def decided(self, rule: Rule) -> Ints:
+        """The expert's decisions, (n,)."""
 
 
-@compiled
+@compiled_part
 def _box_on_way(way: Floats, arc: float) -> tuple[float, float, float]:
     """(x, y, heading) at an arc length along a polyline whose points are ROUTE_SPACING apart."""
     last = way.shape[0] - 2
@@ -194,14 +193,6 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
 
 
 @compiled
-def decide_on_truths(scenes: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
-    """Write the expert's decisions for the egos of the live scenes `which` (n,) to chosen (n,)."""
-    for k in range(which.shape[0]):
-        scene = scenes[which[k]]
-        chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)
-
-
-@compiled
 def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
                    oncoming: Ints, rule: Rule) -> int:  # fmt: skip
     """The planner's decision on the fields of an observation."""
@@ -272,6 +263,4 @@ class Expert:
 
     def act_batch(self, observations: Truths) -> Ints:
         """GO or BRAKE, (n,), in n scenes."""
-        chosen = np.empty(len(observations.which), np.int64)
-        decide_on_truths(observations.scenes, observations.which, self.config.rule, chosen)
-        return chosen
+        return observations.decided(self.config.rule)

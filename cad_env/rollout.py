@@ -15,6 +15,8 @@ from cad_env.simulation import Simulation
 from cad_env.types import BRAKE, STEP, Floats, Ints, Observation, Policy
 from cad_env.vector import CADVectorEnv
 
+BRAKE_WINDOW = 5  # decisions: 0.5 s
+
 
 @dataclass(frozen=True)
 class Episode:
@@ -33,6 +35,7 @@ class Episode:
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
     hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet
+    connected: int  # vehicles, the ego included
 
     @property
     def time(self) -> float:
@@ -43,6 +46,12 @@ class Episode:
     def brakes(self) -> int:
         """Decisions to brake."""
         return int((self.action == BRAKE).sum())
+
+    @property
+    def hardest_brake(self) -> float:
+        """m/s2, the largest mean deceleration of the ego over 0.5 s; 0 where it never slows down."""
+        drop = self.speed[:-BRAKE_WINDOW] - self.speed[BRAKE_WINDOW:]
+        return max(0.0, float(drop.max(initial=0.0))) / (BRAKE_WINDOW * STEP)
 
     @property
     def bytes_per_message(self) -> float:
@@ -96,14 +105,16 @@ def rollouts(
     """Drive an episode per seed, as many at a time as there are scenes in the vector environment, yielded as they end.
 
     Every episode is the same as `rollout` gives, whatever the number of scenes; a policy that does not decide in
-    batches drives one at a time. Of a list of single environments only the settings count.
+    batches drives one at a time. The environment must be reset before it is stepped by hand again. Of a list of single
+    environments only the settings count.
     """
     if isinstance(envs, CADVectorEnv):
         ensemble = envs.ensemble
     else:
         ensemble = Ensemble([env.simulation.setup for env in envs])
     waiting, log = iter(seeds), _Log(len(ensemble))
-    free = range(len(ensemble) if isinstance(policy, BatchPolicy) else 1)
+    decide = _decide_together if isinstance(policy, BatchPolicy) else _decide_alone
+    free = range(len(ensemble) if decide is _decide_together else 1)
     going: list[int] = []
     while True:
         for place, seed in zip(free, waiting, strict=False):
@@ -113,7 +124,7 @@ def rollouts(
         if not going:
             return
         which = np.array(going)
-        actions = _decided(policy, ensemble, which)
+        actions = decide(policy, ensemble, which)
         if watch is not None:
             for place, action in zip(going, actions.tolist(), strict=True):
                 watch(ensemble.simulations[place], ensemble.observation(place), action)
@@ -125,15 +136,18 @@ def rollouts(
             yield log.episode(place, ensemble.simulations[place], contender)
 
 
-def _decided(policy: Policy, ensemble: Ensemble, which: Ints) -> Ints:
-    """What the policy decides, (n,), in the scenes `which` (n,)."""
-    if isinstance(policy, BatchPolicy):
-        seen = {name: part[which] for name, part in ensemble.observations.items()}
-        return policy.act_batch(ensemble.truths(which) if policy.privileged else seen)
+def _decide_together(policy: Any, ensemble: Ensemble, which: Ints) -> Ints:
+    """What a BatchPolicy decides, (n,), in the scenes `which` (n,)."""
+    if policy.privileged:
+        return np.asarray(policy.act_batch(ensemble.truths(which)))
+    return np.asarray(policy.act_batch({name: part[which] for name, part in ensemble.observations.items()}))
+
+
+def _decide_alone(policy: Policy, ensemble: Ensemble, which: Ints) -> Ints:
+    """What any policy decides, (1,), in the one scene `which` (1,)."""
     place = int(which[0])
-    return np.array(
-        [policy.act(ensemble.simulations[place].truth() if policy.privileged else ensemble.observation(place))]
-    )
+    seen = ensemble.simulations[place].truth() if policy.privileged else ensemble.observation(place)
+    return np.array([policy.act(seen)])
 
 
 _HERE = np.zeros(1, np.int64)
@@ -163,5 +177,6 @@ class _Log:
         return Episode(
             simulation.scenario.name, contender, info["seed"], info["hazard"], info["outcome"],
             self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_timing=info["hazard_timing"],
+            connected=len(simulation.agents),
             **{name: part[place, :count].copy() for name, part in self._told.items()},
         )  # fmt: skip

@@ -21,13 +21,14 @@ KINDS = ("all", "yes", "no")
 class Record:
     """One episode in one line of `episodes.jsonl`; the word None below is JSON's null.
 
-    >>> line = Record("left_turn", "expert", 7, True, "success", 9.5, 31, 283.5, 302, 380, 19, 107730, None, 0.1).line()
-    >>> parse_record(line).bytes_per_message_max
+    >>> rest = 9.5, 31, 283.5, 302, 380, 19, 107730, None, 0.1, 4, 5.9
+    >>> parse_record(Record("left_turn", "expert", 7, True, "success", *rest).line()).bytes_per_message_max
     302
     >>> parse_record('{"scenario": "left_turn"}')
     Traceback (most recent call last):
     ValueError: an episode's record must have the keys scenario, contender, seed, hazard, outcome, time, brakes,
-    bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc, hazard_timing
+    bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc, hazard_timing,
+    connected, hardest_brake
     """
 
     scenario: str
@@ -44,6 +45,8 @@ class Record:
     bytes_total: int  # sent by all connected vehicles
     min_ttc: float | None  # s, None if nothing was on a collision course
     hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet; None if never
+    connected: int  # vehicles, the ego included
+    hardest_brake: float  # m/s2, the largest mean deceleration of the ego over 0.5 s
 
     def __post_init__(self) -> None:
         for name, valid in self._fields_valid().items():
@@ -51,7 +54,7 @@ class Record:
                 raise ValueError(f"an episode's record cannot have {name} {getattr(self, name)!r}")
 
     def _fields_valid(self) -> dict[str, bool]:
-        counts = ("seed", "brakes", "messages_sent", "messages_lost", "bytes_total")
+        counts = ("seed", "brakes", "messages_sent", "messages_lost", "bytes_total", "connected")
         return {
             "scenario": isinstance(self.scenario, str),
             "contender": isinstance(self.contender, str),
@@ -63,6 +66,7 @@ class Record:
             "bytes_per_message_max": self.bytes_per_message_max is None or _is_count(self.bytes_per_message_max),
             "min_ttc": self.min_ttc is None or _is_amount(self.min_ttc),
             "hazard_timing": self.hazard_timing is None or _is_number(self.hazard_timing),
+            "hardest_brake": _is_amount(self.hardest_brake),
         }
 
     def line(self) -> str:

@@ -145,7 +145,7 @@ class Simulation:
         self._play(False)
 
     def _play(self, moves: bool) -> None:
-        play(self._board.scenes, self._which, self._live.actions, moves)
+        play(self._board.shelf, self._which, self._live.actions, moves)
         if self.sharing is not None:
             exchange([self.sharing], self._board.rooms)
 

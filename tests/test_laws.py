@@ -16,16 +16,15 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scenes import Steady, Twitchy, digest, started, steps, whole_episode
 
-from cad_env.chance import stream_key
 from cad_env.config import RadioConfig, radio_config
 from cad_env.env import CADEnv
+from cad_env.live import Board, play
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import decode, read
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import as_observation
 from cad_env.pipeline.radio import ACCEPTED, OVER_BUDGET, link_of
-from cad_env.pipeline.sense import sensing
-from cad_env.pipeline.step import ALL, OTHERS, Fleet, new_fleet, run
+from cad_env.pipeline.step import ALL, OTHERS, Fleet, new_fleet
 from cad_env.pipeline.track import BIRTH_HITS
 from cad_env.rollout import Episode, rollout, rollouts
 from cad_env.rows import as_graph, empty_rows
@@ -70,13 +69,12 @@ def test_law_1_a_budget_of_zero_is_no_radio_to_the_last_bit(where: dict, seed: i
 @settings(max_examples=1)
 @given(seeds)
 def test_law_1_no_radio_is_as_if_no_other_vehicle_were_connected(where: dict, seed: int):
-    simulation = started(seed, **where, radio="none")
-    alone, link = np.array([0]), link_of(radio_config("none"))
-    fleet = new_fleet(alone, len(simulation.world.speed), 1, link)
-    keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
-    for step in steps(simulation, action=lambda agent: BRAKE if agent == 0 and seed % 2 else GO):
-        sensor = sensing(simulation.setup.sensor)
-        run(simulation.world, simulation.map.routes, fleet, sensor, link, FRAMES, keys, step)
+    simulation, alone = started(seed, **where, radio="none"), np.array([0])
+    fleet = new_fleet(alone, len(simulation.world.speed), 1, link_of(radio_config("none")))
+    board = Board(1)
+    board.put(0, simulation._live._replace(fleet=fleet, told=board.told_at(0)))  # the same world, another fleet
+    for _ in steps(simulation, action=lambda agent: BRAKE if agent == 0 and seed % 2 else GO):
+        play(board.shelf, alone, alone, False)
         assert differences(simulation.observation(0), view_of(fleet, 0)) == []
 
 

@@ -1,11 +1,13 @@
 """The radio: what a broadcast may cost, and what may happen to it on the way."""
 
 import math
+from collections.abc import Sequence
+from itertools import groupby, permutations, product
 
 import numpy as np
 import pytest
 
-from cad_env.chance import stream_key
+from cad_env.chance import stream_key, uniform
 from cad_env.config import RADIO_PRESETS, RadioConfig
 from cad_env.pipeline.radio import (
     ACCEPTED,
@@ -20,6 +22,7 @@ from cad_env.pipeline.radio import (
     Radio,
     empty_air,
     fate,
+    fate_at,
     fetch,
     link_of,
     send,
@@ -79,6 +82,64 @@ def test_losses_come_at_their_rate():
     assert abs(radio.count["lost"] / sent - loss) < 4 * math.sqrt(loss * (1 - loss) / sent)
 
 
+def runs_of(lost: Sequence[bool]) -> list[int]:
+    """The lengths of the runs of losses."""
+    return [len(list(run)) for missed, run in groupby(lost) if missed]
+
+
+def losses(config: RadioConfig, seed: int, steps: int) -> list[bool]:
+    """Of each step, whether the message from 0 to 1 is lost."""
+    link, key = link_of(config), stream_key(seed, "radio")
+    return [fate_at(link, key, 1.0, step, 0, 1, 0) == LOST for step in range(steps)]
+
+
+@pytest.mark.parametrize(("loss", "burst"), [(0.05, 3.5), (0.2, 5.0), (0.5, 2.0), (0.3, 12.0)])
+def test_bursty_losses_come_at_their_rate_and_in_runs_of_their_length(loss: float, burst: float):
+    steps = 60_000
+    lost = losses(RadioConfig(loss=loss, burst=burst), 3, steps)
+    kept = 1 - 1 / (burst * (1 - loss))  # correlation from one slot to the next
+    error = math.sqrt(loss * (1 - loss) / steps * (1 + kept) / (1 - kept))
+    assert abs(np.mean(lost) - loss) < 4 * error
+    runs = runs_of(lost)  # geometric
+    assert abs(np.mean(runs) - burst) < 4 * math.sqrt(burst * (burst - 1) / len(runs))
+
+
+def test_bursty_losses_are_at_their_rate_from_the_first_step_on():
+    loss, seeds = 0.3, 4000
+    first = [losses(RadioConfig(loss=loss, burst=10.0), seed, 2) for seed in range(seeds)]
+    for step in range(2):
+        share = np.mean([lost[step] for lost in first])
+        assert abs(share - loss) < 4 * math.sqrt(loss * (1 - loss) / seeds)
+
+
+def test_without_bursts_a_loss_is_one_draw_of_its_own_link_slot_and_message():
+    config, key = RadioConfig(loss=0.4, burst=1.0), stream_key(3, "radio")
+    for step, sender, receiver, number in product(range(20), range(3), range(3), range(3)):
+        lost = fate_at(link_of(config), key, 1.0, step, sender, receiver, number) == LOST
+        assert lost == (uniform(key, step, sender, receiver, number) < 0.4)
+
+
+def test_in_a_bursty_slot_all_messages_of_a_link_share_their_fate_and_links_differ():
+    link, key = link_of(RadioConfig(loss=0.5, burst=4.0)), stream_key(3, "radio")
+
+    def fates(sender: int, receiver: int, number: int) -> list[int]:
+        return [fate_at(link, key, 1.0, step, sender, receiver, number) for step in range(100)]
+
+    assert fates(0, 1, 0) == fates(0, 1, 5)
+    assert len({tuple(fates(*ends, 0)) for ends in permutations(range(3), 2)}) == 6
+
+
+@pytest.mark.parametrize(("loss", "burst"), [(1.0, 2.0), (0.6, 2.4), (0.05, 1.05)])
+def test_a_burst_shorter_than_chance_makes_it_is_refused(loss: float, burst: float):
+    with pytest.raises(ValueError, match=r"radio burst must be 1 or at least 1 / \(1 - loss\), got "):
+        RadioConfig(loss=loss, burst=burst)
+
+
+def test_a_radio_that_loses_everything_or_nothing_may_have_any_possible_burst():
+    assert all(losses(RadioConfig(loss=1.0), 0, 50))
+    assert not any(losses(RadioConfig(loss=0.0, burst=8.0), 0, 50))
+
+
 def heard(radio: Radio, vehicles: int, steps: int = 200) -> list[tuple[int, int, int]]:
     """(step, sender, receiver) among the vehicles 0 and 1, of as many as there are."""
     links = []
@@ -90,8 +151,9 @@ def heard(radio: Radio, vehicles: int, steps: int = 200) -> list[tuple[int, int,
     return links
 
 
-def test_a_third_vehicle_changes_no_loss_between_the_other_two():
-    config = RadioConfig(loss=0.5)
+@pytest.mark.parametrize("burst", [1.0, 4.0])
+def test_a_third_vehicle_changes_no_loss_between_the_other_two(burst: float):
+    config = RadioConfig(loss=0.5, burst=burst)
     assert heard(Radio(config, seed=5), vehicles=2) == heard(Radio(config, seed=5), vehicles=3)
 
 
@@ -151,8 +213,9 @@ def test_a_payload_must_be_bytes_and_time_must_not_run_back():
         radio.deliver(0, math.nan)
 
 
-def test_the_compiled_air_carries_exactly_what_the_radio_does():
-    config = RadioConfig(loss=0.4, delay=0.2, range=60.0, rate=8 * 10 * 30)
+@pytest.mark.parametrize("burst", [1.0, 3.0])
+def test_the_compiled_air_carries_exactly_what_the_radio_does(burst: float):
+    config = RadioConfig(loss=0.4, delay=0.2, range=60.0, rate=8 * 10 * 30, burst=burst)
     radio, link, key = Radio(config, seed=9), link_of(config), stream_key(9, "radio")
     air, buffer = empty_air(4, link, capacity=64), np.zeros(64, np.uint8)
     rng = np.random.default_rng(0)

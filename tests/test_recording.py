@@ -54,7 +54,11 @@ def test_frames_are_the_observations_that_were_replayed(recorded: Recording) -> 
     frames = FAMILY.frames(*replay(recorded, envs, FAMILY.look))
     chosen = np.array([7, 0, 7, len(frames) - 1])
     for name, values in frames.batch(chosen).items():
-        np.testing.assert_array_equal(values, np.stack([looks[k][name] for k in chosen]), err_msg=name)
+        half_a_centimetre = 0.0051 if name == "tracks" else 0.0
+        wanted = np.stack([looks[k][name] for k in chosen])
+        if name == "tracks":  # where there is no node there is nothing to keep
+            wanted = wanted * frames.batch(chosen)["mask"][..., None]
+        np.testing.assert_allclose(values, wanted, rtol=0, atol=half_a_centimetre, err_msg=name)
     assert set(frames.seed) == set(range(6))
     assert 0.0 < (frames.label == BRAKE).mean() < 0.3
 

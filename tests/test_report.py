@@ -56,7 +56,7 @@ def some_records(
 ) -> list[Record]:
     """40 episodes each with outcomes by chance; `share` of them with a hazard."""
     chance = random.Random(1)
-    bare = Record("", "", 0, False, "success", 9.0, 0, None, None, 0, 0, 0, None, None)
+    bare = Record("", "", 0, False, "success", 9.0, 0, None, None, 0, 0, 0, None, None, 0, 0.0)
     records = []
     for scene, name, seed in product(scenes, contenders, range(40)):
         sent, hazard = 100 + seed if CONTENDERS[name].shares else 0, chance.random() < share

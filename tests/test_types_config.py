@@ -27,6 +27,7 @@ RANGES = [
     (RadioConfig, "radio", "loss", 0.0, 1.0),
     (RadioConfig, "radio", "delay", 0.0, 1.4),
     (RadioConfig, "radio", "range", 0.0, 1e6),
+    (RadioConfig, "radio", "burst", 1.0, 1e4),
 ]
 
 

@@ -12,6 +12,7 @@ from dataclasses import fields
 from typing import Any
 
 import gymnasium as gym
+import numba
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
@@ -20,6 +21,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from scenes import Twitchy
 
 from cad_env.env import CADEnv
+from cad_env.live import scene_at
 from cad_env.planner import Expert, Planner
 from cad_env.rollout import Episode, rollout, rollouts
 from cad_env.scenarios import SCENARIOS
@@ -294,15 +296,21 @@ def test_a_copy_of_an_episode_goes_its_own_way(copied: Any):
     assert braked[-1][-1]["speed"] < gone[-1][-1]["speed"] - 1.0
 
 
-def test_scenes_outlive_their_environment_for_whoever_holds_them():
-    # Compiled code counts no references to the arrays of a scene: the list of scenes has to keep them.
-    def truths() -> Any:
+def test_the_shelf_keeps_the_scenes_that_compiled_code_borrows():
+    # Nobody counts references to the arrays of a scene there: freed, they would soon hold something else.
+    def shelf() -> Any:
         env = CADVectorEnv(3)
         env.reset(seed=5)
-        return env.ensemble.truths(np.arange(3))
+        return env.ensemble.board.shelf, env.ensemble.simulations[2].world.position.copy()
 
-    kept, expected = truths(), Expert().act_batch(truths())
-    rubbish = [np.full(1 << 12, -1.0) for _ in range(2000)]  # what would be in the arrays if they had been freed
+    kept, expected = shelf()
     gc.collect()
-    assert Expert().act_batch(kept).tolist() == expected.tolist()
-    assert len(rubbish) == 2000
+    rubbish = [np.full(expected.shape, -1.0) for _ in range(5000)]
+    assert position_of_ego(kept, 2) == tuple(expected[0])
+    assert len(rubbish) == 5000
+
+
+@numba.njit
+def position_of_ego(shelf: Any, place: int) -> tuple[float, float]:
+    scene = scene_at(shelf, place)
+    return scene.world.position[0, 0], scene.world.position[0, 1]

@@ -42,7 +42,7 @@ class CommandNet(nn.Module):
 
     def forward(self, command: Tensor) -> Tensor:
         """Logits (B, 2)."""
-        logits: Tensor = self.decide(command.to(self.decide[0].weight.dtype))
+        logits: Tensor = self.decide(command.float())
         return logits
 
 

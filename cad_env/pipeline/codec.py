@@ -25,7 +25,7 @@ The CRC finds corruption. It is no authentication: anyone can write a message th
 
 import numpy as np
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, compiled_part
 from cad_env.pipeline.codec_bits import (
     REACH,
     TRUNCATED,
@@ -147,7 +147,7 @@ def read(buffer: Bytes, length: int, header: Ints, rows: Rows) -> int:
     return ACCEPTED
 
 
-@compiled
+@compiled_part
 def _check_envelope(buffer: Bytes, length: int) -> int:
     if length < _HEADER + _CRC or length > buffer.shape[0]:
         return TRUNCATED
@@ -159,7 +159,7 @@ def _check_envelope(buffer: Bytes, length: int) -> int:
     return ACCEPTED
 
 
-@compiled
+@compiled_part
 def _take_track(buffer: Bytes, at: int, end: int, rows: Rows, row: int, depth: int, origin: Ints) -> int:
     name, at = take_varint(buffer, at, end)
     if at < 0:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, compiled_part
 from cad_env.types import FRAMES, Bools, Bytes, Floats, Ints, Rows
 
 REACH = 100_000.0  # m, the largest coordinate
@@ -140,7 +140,7 @@ def varies_along(position: Floats, row: int, axis: int, frames: int) -> bool:
     return False
 
 
-@compiled
+@compiled_part
 def _next_pace(pace: int, surprise: int, gap: int, nodes: int) -> int:
     """Units per frame after a node, the `nodes`-th from 0, that was a surprise after `gap` frames.
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from cad_env.assignment import assign
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.rows import flat_positions, row_of
 from cad_env.types import FRAMES, Floats, Rows
 from cad_env.world.geometry import within
@@ -75,7 +75,7 @@ def take_in(merged: Rows, weight: Floats, rows: Rows, first: int, trail: Floats)
         _fuse(merged, weight, g, rows, i, trail)
 
 
-@inlined
+@inlined_part
 def _disagreement(merged: Rows, weight: Floats, g: int, rows: Rows, i: int) -> float:
     """Root mean square distance in the plane over the frames both hold, m; inf if there is none."""
     total, common = 0.0, 0
@@ -91,7 +91,7 @@ def _disagreement(merged: Rows, weight: Floats, g: int, rows: Rows, i: int) -> f
     return math.sqrt(total / common) if common > 0 else math.inf
 
 
-@inlined
+@inlined_part
 def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Floats) -> None:
     for t in range(FRAMES):
         if not rows.mask[i, t] or _is_ego(rows, i, t, trail):
@@ -108,7 +108,7 @@ def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Float
         merged.mask[g, t] = True
 
 
-@inlined
+@inlined_part
 def _is_ego(rows: Rows, i: int, t: int, trail: Floats) -> bool:
     return within(rows.position[i, t, 0] - trail[t, 0], rows.position[i, t, 1] - trail[t, 1], EGO_RADIUS)
 

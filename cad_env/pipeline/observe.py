@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, compiled_part
 from cad_env.types import (
     FRAMES,
     OBSERVED_TRACKS,
@@ -77,7 +77,7 @@ def as_observation(view: Any) -> Observation:
     return {name: getattr(view, name).copy() for name in view._fields}
 
 
-@compiled
+@compiled_part
 def _clip(value: float) -> float:
     return min(max(value, -HORIZON), HORIZON)
 

@@ -5,6 +5,12 @@ whole and says why; nothing is ever cut. What becomes of an accepted message is 
 receiver by itself: out of range then, lost, or on its way for `delay` steps. The chance of a loss is a function of
 (step, sender, receiver, number of the message in its slot): another vehicle, receiver or message moves no other loss.
 
+With a `burst` above 1, losses come in runs: each directed link is a Gilbert-Elliott channel, good or bad for a whole
+slot, from good to bad with probability loss / (burst (1 - loss)) and back with 1 / burst, stationary from step 0 on.
+Such a chain is the same as one that is drawn anew, bad with probability `loss`, in a slot with probability
+1 / (burst (1 - loss)), and left alone otherwise: so its state is found by looking back for the last draw, and needs no
+memory. (Gilbert, "Capacity of a burst-noise channel", Bell System Technical Journal 39, 1960.)
+
 `Air` with `send`, `fate` and `fetch` is this for the compiled step, where a vehicle sends at most one message a step.
 `Radio` is the same for any messages. Both keep to `refusal` and `fate_at`.
 """
@@ -43,6 +49,7 @@ class Link(NamedTuple):
     loss: float  # probability
     range: float  # m
     delay: int  # steps
+    renewal: float  # probability that the channel of a directed link is drawn anew in a slot; 1: losses are independent
 
 
 class Air(NamedTuple):
@@ -57,7 +64,8 @@ class Air(NamedTuple):
 
 def link_of(config: RadioConfig) -> Link:
     """The numbers of a RadioConfig."""
-    return Link(float(config.budget), float(config.loss), float(config.range), config.delay_steps)
+    renewal = 1.0 if config.burst == 1.0 else 1.0 / (config.burst * (1.0 - config.loss))
+    return Link(float(config.budget), float(config.loss), float(config.range), config.delay_steps, renewal)
 
 
 def empty_air(vehicles: int, link: Link, capacity: int) -> Air:
@@ -81,12 +89,28 @@ def refusal(budget: float, spent: int, size: int) -> int:
 
 
 @compiled
+def channel_is_bad(link: Link, key: Ints, step: int, sender: int, receiver: int) -> bool:
+    """True in a slot in which the bursty channel from sender to receiver loses everything."""
+    for back in range(step + 1):
+        chance = uniform(key, step - back, sender, receiver, 0)
+        if step == back:
+            return bool(chance < link.loss)  # stationary at the start
+        if chance < link.renewal:
+            return bool(chance < link.renewal * link.loss)
+    return False
+
+
+@compiled
 def fate_at(link: Link, key: Ints, distance: float, step: int, sender: int, receiver: int, number: int) -> int:
     """REACHES, LOST or OUT_OF_RANGE, for the `number`-th message, from 0, of a sender in a slot."""
     # Written as a negation, an unknown distance (NaN) is out of range too.
     if not distance <= link.range:
         return OUT_OF_RANGE
-    return LOST if uniform(key, step, sender, receiver, number) < link.loss else REACHES
+    if link.renewal < 1.0:
+        lost = channel_is_bad(link, key, step, sender, receiver)
+    else:
+        lost = uniform(key, step, sender, receiver, number) < link.loss
+    return LOST if lost else REACHES
 
 
 @compiled

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.chance import normals_and_uniform
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.config import SensorConfig
 from cad_env.types import ROWS, STEP, TRUCK, Bools, Detections, Floats, Ints
 from cad_env.world.geometry import box_hides, within
@@ -68,7 +68,7 @@ def can_see(world: World, outlines: Floats, observer: int, target: int, reach: f
     return False
 
 
-@inlined
+@inlined_part
 def _near_line(world: World, outlines: Floats, observer: int, target: int, x0: float, y0: float, near: Ints) -> int:
     """Write to `near` the rows that could hide any part of the target from (x0, y0), and answer how many.
 
@@ -88,7 +88,7 @@ def _near_line(world: World, outlines: Floats, observer: int, target: int, x0: f
     return count
 
 
-@inlined
+@inlined_part
 def _hidden(world: World, outlines: Floats, near: Ints, count: int, x0: float, y0: float, x1: float, y1: float) -> bool:
     for n in range(count):
         k = near[n]

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import inlined_part
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
@@ -69,7 +69,7 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
     )  # fmt: skip
 
 
-@compiled
+@inlined_part
 def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link, depth: int, keys: Ints,
         step: int) -> None:  # fmt: skip
     """Sense, track, graph, encode and send for every vehicle; then deliver, merge and observe for every receiver."""
@@ -84,7 +84,7 @@ def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link,
         show(world, routes, fleet, r)
 
 
-@inlined
+@inlined_part
 def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, step: int) -> None:
     """One frame of one vehicle: fix, detections, tracks, and the window of its graph."""
     row, trail = fleet.rows[v], fleet.trail[v]
@@ -110,7 +110,7 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
             add_track(window, tracks.id[i], tracks.kind[i], tracks.recent[i], tracks.recent_mask[i])
 
 
-@inlined
+@inlined_part
 def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: int) -> None:
     """Write one vehicle's graph as bytes and hand them to the radio."""
     size = 0
@@ -122,7 +122,7 @@ def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: 
     fleet.report.sent_bytes[v] = size if reason == ACCEPTED else 0
 
 
-@inlined
+@inlined_part
 def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
     """Give what arrives to every receiver that it reaches; a message is parsed once, if it reaches any."""
     report = fleet.report
@@ -147,7 +147,7 @@ def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
             receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
 
 
-@inlined
+@inlined_part
 def fuse(fleet: Fleet, r: int) -> None:
     """Merge what receiver r knows by itself with what it holds of the others, in the order of their numbers."""
     merged, trail = _rows_at(fleet.merged, r), fleet.trail[r]
@@ -159,7 +159,7 @@ def fuse(fleet: Fleet, r: int) -> None:
     finish_merge(merged, trail)
 
 
-@inlined
+@inlined_part
 def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     """Fill receiver r's view."""
     row, view, trail = fleet.rows[r], _view_at(fleet.views, r), fleet.trail[r]
@@ -170,17 +170,17 @@ def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     )  # fmt: skip
 
 
-@inlined
+@inlined_part
 def _rows_at(stack: Rows, v: int) -> Rows:
     return Rows(stack.used[v], stack.track[v], stack.position[v], stack.mask[v], stack.kind[v])
 
 
-@inlined
+@inlined_part
 def _kept_at(stack: Rows, r: int, v: int) -> Rows:
     return Rows(stack.used[r, v], stack.track[r, v], stack.position[r, v], stack.mask[r, v], stack.kind[r, v])
 
 
-@inlined
+@inlined_part
 def _tracks_at(stack: Tracks, v: int) -> Tracks:
     return Tracks(
         stack.used[v], stack.next_id[v], stack.id[v], stack.mean[v], stack.covariance[v], stack.height[v],
@@ -188,7 +188,7 @@ def _tracks_at(stack: Tracks, v: int) -> Tracks:
     )  # fmt: skip
 
 
-@inlined
+@inlined_part
 def _view_at(stack: View, r: int) -> View:
     return View(
         stack.tracks[r], stack.mask[r], stack.kind[r], stack.odometry[r], stack.ego[r], stack.command[r],

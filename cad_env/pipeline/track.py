@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.assignment import assign
-from cad_env.compiled import compiled, inlined
+from cad_env.compiled import compiled, compiled_part, inlined_part
 from cad_env.types import ROWS, STEP, Bools, Floats, Ints
 from cad_env.world.geometry import within
 
@@ -88,7 +88,7 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
             _spawn(tracks, position[j], kind[j], variance)
 
 
-@inlined
+@inlined_part
 def _predict(tracks: Tracks, i: int) -> None:
     mean, spread = tracks.mean[i], tracks.covariance[i]
     mean[0] += STEP * mean[2]
@@ -99,7 +99,7 @@ def _predict(tracks: Tracks, i: int) -> None:
     spread[2] += STEP * STEP * power
 
 
-@inlined
+@inlined_part
 def _correct(tracks: Tracks, i: int, detection: Floats, kind: int, variance: float) -> None:
     mean, spread = tracks.mean[i], tracks.covariance[i]
     gain_place = spread[0] / (spread[0] + variance)
@@ -117,7 +117,7 @@ def _correct(tracks: Tracks, i: int, detection: Floats, kind: int, variance: flo
     tracks.misses[i] = 0
 
 
-@inlined
+@inlined_part
 def _remember(tracks: Tracks, i: int) -> None:
     recent, mask = tracks.recent[i], tracks.recent_mask[i]
     for k in range(BIRTH_HITS - 1):
@@ -130,7 +130,7 @@ def _remember(tracks: Tracks, i: int) -> None:
     recent[BIRTH_HITS - 1, 2] = tracks.height[i]
 
 
-@inlined
+@inlined_part
 def _spawn(tracks: Tracks, detection: Floats, kind: int, variance: float) -> None:
     i = tracks.used[0]
     tracks.used[0] += 1
@@ -146,7 +146,7 @@ def _spawn(tracks: Tracks, detection: Floats, kind: int, variance: float) -> Non
     _remember(tracks, i)
 
 
-@compiled
+@compiled_part
 def _drop_lost(tracks: Tracks) -> None:
     kept = 0
     for i in range(tracks.used[0]):

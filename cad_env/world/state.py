@@ -48,6 +48,15 @@ class World(NamedTuple):
     struck: Ints  # (N,) int64 row of the first vehicle it touched, -1 for none
 
 
+def empty_routes() -> Routes:
+    """A map without routes."""
+    samples = (0, 0)
+    return Routes(
+        0.0, np.zeros(0), np.zeros((*samples, 2)), np.zeros(samples), np.zeros(samples, np.int8),
+        np.zeros(samples, np.int8), np.zeros((0, *samples, 2)),
+    )  # fmt: skip
+
+
 def empty_world(count: int) -> World:
     """`count` vehicles, all OFF."""
     return World(

@@ -1,0 +1,44 @@
+"""The parts of a reproduction, one a contender, put side by side: the folders that its report is made of."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from baselines.grid import grid
+from baselines.reproduction import Plan, Task, measuring, scoring, table_of, units
+from baselines.settings import Settings
+from baselines.store import SCORES, SETTINGS, Store, key_of, read_records, read_settings
+from cad_env.files import replace_file
+from cad_env.score import scorecards
+
+
+def gather(plan: Plan) -> int:
+    """Fill closed/ and sweeps/ with all that is finished; gives how many parts are not."""
+    tables: dict[str, list[Task]] = {}
+    for unit in sorted(units(plan), key=lambda unit: plan.rows.index(unit[0])):
+        for task in measuring(plan, unit):
+            if task.stage != "open":
+                tables.setdefault(table_of(task), []).append(task)
+    lacking = 0
+    for name, tasks in tables.items():
+        parts = [scoring(plan, task) for task in tasks]
+        finished = [part for part in parts if (part.out / SCORES).exists()]  # written when all episodes are there
+        lacking += len(parts) - len(finished)
+        if finished:
+            _join(finished, plan.out / name)
+    return lacking
+
+
+def _join(parts: Sequence[Settings], into: Path) -> None:
+    """As if all contenders had been scored in one run."""
+    whole = replace(parts[0], contender=tuple(part.contender[0] for part in parts), out=into)
+    notes = [read_settings(part.out) for part in parts]
+    settings = {name: value for note in notes for name, value in note.items()}
+    settings |= {"contender": list(whole.contender), "command": whole.command()}
+    into.mkdir(parents=True, exist_ok=True)
+    replace_file(into / SETTINGS, (json.dumps(settings, indent=2) + "\n").encode())
+    store = Store(into, settings)
+    store.records = {key_of(record): record for part in parts for record in read_records(part.out)}
+    tasks = grid(whole.scenarios(), whole.contender, whole.seeds())
+    store.write_scores(scorecards(store.put_in_order([key for task in tasks for key in task.episodes()])))

@@ -1,0 +1,118 @@
+"""The folder of a run -> everything the tables and plots are made of. What is not there is simply absent.
+
+closed/<radio>/<training seed>/       results of evaluate.py (settings.json, episodes.jsonl)
+open/<training seed>/<scenario>_<contender>.json
+sweeps/<name>/<value>/                results of evaluate.py
+costs.json                            what networks cost, row by row
+notes.md                              what people wrote about it
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from baselines.paper.open_loop import OpenLoop, read_open_loop
+from baselines.paper.sweeps import SWEEPS
+from baselines.store import EPISODES, SETTINGS, read_records, read_settings
+from cad_env.score import Record
+
+NOTES, COSTS = "notes.md", "costs.json"
+ROWS = (
+    "always-go", "always-brake", "command-only", "planner-own", "cautious-own", "planner-shared", "expert", "ppo",
+    "gat", "collab-gat", "stgraph-own", "raw-points", "compressed", "stgraph-no-edges", "stgraph-bc", "stgraph",
+    "stgraph-velocity",
+)  # fmt: skip
+
+Drives = Mapping[int, Mapping[int, Record]]  # training seed -> seed of the episode -> what came of it
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was measured."""
+
+    closed: Mapping[str, Mapping[str, Mapping[str, Drives]]]  # radio -> scenario -> contender, as ROWS go
+    open: Mapping[str, Mapping[str, Mapping[int, OpenLoop]]]  # scenario -> contender -> training seed
+    sweeps: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Mapping[int, Record]]]]]
+    # name -> value, as SWEEPS go -> scenario -> contender -> seed of the episode
+    commands: Mapping[str, str]  # folder below that of the run -> the command that fills it
+    costs: Any  # of JSON; None if nobody measured them
+    notes: str
+
+    def expert(self, scenario: str) -> Mapping[int, Record]:
+        """The expert's episodes of a scenario by seed, over whatever radio: it needs none."""
+        found: dict[int, Record] = {}
+        for scenarios in self.closed.values():
+            for records in scenarios.get(scenario, {}).get("expert", {}).values():
+                found.update(records)
+        return found
+
+
+def read_run(folder: Path) -> Run:
+    """Everything in a folder; ValueError, one line, for a file that is damaged."""
+    costs = folder / COSTS
+    notes = folder / NOTES
+    try:
+        cost = json.loads(costs.read_bytes()) if costs.exists() else None
+    except ValueError as error:
+        raise ValueError(f"{costs}: {error}") from None
+    return Run(
+        {radio.name: _closed(radio) for radio in _folders(folder / "closed")},
+        _open(folder / "open"),
+        {name: found for name in SWEEPS if (found := _sweep(folder / "sweeps" / name, name))},
+        dict(_commands(folder)),
+        cost,
+        notes.read_text().strip() if notes.exists() else "",
+    )
+
+
+def _closed(radio: Path) -> dict[str, dict[str, dict[int, dict[int, Record]]]]:
+    found: dict[str, dict[str, dict[int, dict[int, Record]]]] = {}
+    for training_seed, records in sorted((int(part.name), _records(part)) for part in _folders(radio, numbers=True)):
+        for record in records:
+            drives = found.setdefault(record.scenario, {}).setdefault(record.contender, {})
+            drives.setdefault(training_seed, {})[record.seed] = record
+    return {scenario: in_order(contenders) for scenario, contenders in found.items()}
+
+
+def _open(folder: Path) -> dict[str, dict[str, dict[int, OpenLoop]]]:
+    found: dict[str, dict[str, dict[int, OpenLoop]]] = {}
+    for part in sorted(_folders(folder, numbers=True), key=lambda part: int(part.name)):
+        for path in sorted(part.glob("*.json")):
+            loop = read_open_loop(path)
+            found.setdefault(loop.scenario, {}).setdefault(loop.contender, {})[int(part.name)] = loop
+    return {scenario: in_order(contenders) for scenario, contenders in found.items()}
+
+
+def _sweep(folder: Path, name: str) -> dict[str, dict[str, dict[str, dict[int, Record]]]]:
+    places = {point.value: place for place, point in enumerate(SWEEPS[name].points)}
+    values: dict[str, dict[str, dict[str, dict[int, Record]]]] = {}
+    for part in sorted(_folders(folder), key=lambda part: places.get(part.name, len(places))):
+        for record in _records(part):
+            contenders = values.setdefault(part.name, {}).setdefault(record.scenario, {})
+            contenders.setdefault(record.contender, {})[record.seed] = record
+    return values
+
+
+def in_order(contenders: Mapping[str, Any]) -> dict[str, Any]:
+    """By contender, in the order of the tables; who is not in them comes last."""
+    places = {name: place for place, name in enumerate(ROWS)}
+    return {name: contenders[name] for name in sorted(contenders, key=lambda name: (places.get(name, 99), name))}
+
+
+def _folders(folder: Path, numbers: bool = False) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(part for part in folder.iterdir() if part.is_dir() and (part.name.isdecimal() or not numbers))
+
+
+def _records(folder: Path) -> list[Record]:
+    return read_records(folder) if (folder / EPISODES).exists() else []
+
+
+def _commands(folder: Path) -> Iterator[tuple[str, str]]:
+    for path in sorted([*folder.glob(f"closed/*/*/{SETTINGS}"), *folder.glob(f"sweeps/*/*/{SETTINGS}")]):
+        command = read_settings(path.parent).get("command")
+        if isinstance(command, str):
+            yield path.parent.relative_to(folder).as_posix(), command

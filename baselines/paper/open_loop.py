@@ -1,0 +1,183 @@
+"""Open loop: the expert drives, and at every frame a contender is asked what it would do.
+
+The episodes are held out: their seeds, from 800,000 on, are neither trained on nor scored in closed loop. The world is
+the same for every contender, because the expert drives it by the truth; what is sent and seen is the contender's own.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.contenders import Contender
+from baselines.settings import HAZARDS, Settings
+from cad_env.files import replace_file
+from cad_env.planner import Expert
+from cad_env.rollout import BatchPolicy, rollouts
+from cad_env.simulation import Simulation
+from cad_env.types import BRAKE, Floats, Ints, Observation, Policy
+from cad_env.vector import CADVectorEnv
+
+FIRST_SEED = 800_000  # up to a million, where scoring begins
+ABREAST = 8  # episodes side by side, and how many an answer is asked for at once
+AT_ONCE = 256  # frames that a policy is asked in one go
+
+
+@dataclass(frozen=True)
+class OpenEpisode:
+    """What the expert did and what the contender would have done, frame by frame; "1" is BRAKE."""
+
+    seed: int
+    hazard: bool
+    labels: str  # of the expert, a digit a frame
+    answers: str  # of the contender
+    brake_probability: tuple[float, ...] | None  # a frame; None for a contender that has none
+    messages: int  # sent by all connected vehicles
+    bytes: int  # of all of them
+    largest: int  # bytes
+
+    def __post_init__(self) -> None:
+        scores = self.brake_probability
+        sound = {
+            "seed": type(self.seed) is int and self.seed >= 0,
+            "hazard": isinstance(self.hazard, bool),
+            "labels": isinstance(self.labels, str) and set(self.labels) <= {"0", "1"} and self.labels != "",
+            "answers": isinstance(self.answers, str)
+            and set(self.answers) <= {"0", "1"}
+            and len(self.answers) == len(self.labels),
+            "brake_probability": scores is None
+            or (len(scores) == len(self.labels) and all(type(p) in (int, float) and 0 <= p <= 1 for p in scores)),
+            **{name: _is_count(getattr(self, name)) for name in ("messages", "bytes", "largest")},
+        }
+        for name, valid in sound.items():
+            if not valid:
+                raise ValueError(f"an open-loop episode cannot have {name} {str(getattr(self, name))[:60]!r}")
+
+    def counts(self) -> tuple[int, int, int, int]:
+        """Frames: brake as the expert, brake where it goes, go where it brakes, go as the expert."""
+        pairs = list(zip(self.answers, self.labels, strict=True))
+        return pairs.count(("1", "1")), pairs.count(("1", "0")), pairs.count(("0", "1")), pairs.count(("0", "0"))
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """A contender in the held-out episodes of a scenario."""
+
+    scenario: str
+    contender: str
+    radio: str  # by the name of its preset
+    episodes: tuple[OpenEpisode, ...]
+
+
+def environment_of(contender: Contender, settings: Settings, scenario: str) -> dict[str, Any]:
+    """The options of the environment in which a contender is asked."""
+    return settings.environment(scenario, contender)
+
+
+def measure(contender: Contender, settings: Settings, scenario: str, seeds: Sequence[int]) -> OpenLoop:
+    """Ask a contender in the expert's episodes of these seeds. ValueError for models that are not there."""
+    policy = contender.make_policy(settings.models(scenario))
+    envs = CADVectorEnv(min(ABREAST, len(seeds)), **environment_of(contender, settings, scenario))
+    found: list[OpenEpisode] = []
+    for start in range(0, len(seeds), ABREAST):  # so many episodes of observations are held at a time
+        found += _asked(policy, envs, seeds[start : start + ABREAST], HAZARDS[settings.hazard])
+    return OpenLoop(scenario, contender.name, settings.radio if contender.shares else "none", tuple(found))
+
+
+def _asked(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], hazard: bool | None) -> list[OpenEpisode]:
+    labels: dict[int, list[int]] = {seed: [] for seed in seeds}
+    seen: dict[int, list[Observation]] = {seed: [] for seed in seeds}
+    told: dict[int, list[int]] = {seed: [] for seed in seeds}  # at once: the truth does not stay as it is
+
+    def watch(simulation: Simulation, observation: Observation, action: int) -> None:
+        labels[simulation.seed].append(action)
+        if policy.privileged:
+            told[simulation.seed].append(policy.act(simulation.truth()))
+        else:
+            seen[simulation.seed].append(observation)
+
+    driven = {episode.seed: episode for episode in rollouts(envs, Expert(), seeds, hazard=hazard, watch=watch)}
+    found = []
+    for seed in seeds:
+        episode = driven[seed]
+        answers, scores = (np.array(told[seed]), None) if policy.privileged else answers_of(policy, seen[seed], seed)
+        found.append(
+            OpenEpisode(
+                seed, episode.hazard, _digits(np.array(labels[seed])), _digits(answers),
+                None if scores is None else tuple(np.round(scores, 6).tolist()),
+                int(episode.messages_sent.sum()), int(episode.bytes_sent.sum()), int(episode.largest_message.max()),
+            )
+        )  # fmt: skip
+    return found
+
+
+def answers_of(policy: Policy, seen: Sequence[Observation], seed: int) -> tuple[Ints, Floats | None]:
+    """What a policy decides at each frame of an episode, (n,), and P(brake), (n,), if it says so."""
+    policy.reset(seed)
+    if not isinstance(policy, BatchPolicy):
+        return np.array([policy.act(observation) for observation in seen]), None
+    answers, scores = [], []
+    for start in range(0, len(seen), AT_ONCE):
+        part = seen[start : start + AT_ONCE]
+        batch = {name: np.stack([observation[name] for observation in part]) for name in part[0]}
+        if hasattr(policy, "brake_probability") and hasattr(policy, "threshold"):
+            scores.append(policy.brake_probability(batch))
+            answers.append((scores[-1] >= policy.threshold).astype(np.int64))  # as it decides: one pass is enough
+        else:
+            answers.append(policy.act_batch(batch))
+    return np.concatenate(answers), np.concatenate(scores) if scores else None
+
+
+def _digits(decisions: Ints) -> str:
+    return "".join("1" if decision == BRAKE else "0" for decision in decisions)
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and value >= 0
+
+
+NAMES = ("scenario", "contender", "radio")  # of an OpenLoop
+_KEYS = tuple(field.name for field in fields(OpenEpisode))
+
+
+def open_path(folder: Path, training_seed: int, scenario: str, contender: str) -> Path:
+    """Where a run keeps it."""
+    return folder / "open" / str(training_seed) / f"{scenario}_{contender}.json"
+
+
+def write_open_loop(path: Path, found: OpenLoop) -> None:
+    """Write it whole or not at all, its folder too."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    episodes = ",\n".join(json.dumps(asdict(episode), allow_nan=False) for episode in found.episodes)
+    head = json.dumps({name: getattr(found, name) for name in NAMES})[:-1]
+    replace_file(path, f'{head}, "episodes": [\n{episodes}\n]}}\n'.encode())
+
+
+def read_open_loop(path: Path) -> OpenLoop:
+    """Read it back; OSError if it is not there, ValueError, one line, if it is anything but what was written."""
+    try:
+        data = json.loads(path.read_bytes())
+        return _parsed(data)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _parsed(data: Any) -> OpenLoop:
+    if not isinstance(data, dict) or set(data) != {*NAMES, "episodes"}:
+        raise ValueError(f"it must have the keys {', '.join(NAMES)}, episodes")
+    names, lines = [data[name] for name in NAMES], data["episodes"]
+    if not all(isinstance(name, str) for name in names) or not isinstance(lines, list) or not lines:
+        raise ValueError(f"{', '.join(NAMES)} must be names, and episodes a list of at least one")
+    episodes = []
+    for line in lines:
+        if not isinstance(line, dict) or set(line) != set(_KEYS):
+            raise ValueError(f"an open-loop episode must have the keys {', '.join(_KEYS)}")
+        scores = line["brake_probability"]
+        if scores is not None and not isinstance(scores, list):
+            raise ValueError("brake_probability must be a list or null")
+        episodes.append(OpenEpisode(**{**line, "brake_probability": None if scores is None else tuple(scores)}))
+    scenario, contender, radio = names
+    return OpenLoop(scenario, contender, radio, tuple(episodes))

@@ -1,0 +1,49 @@
+"""How much of everything a reproduction of the paper's tables takes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from cad_env.config import check_range
+
+EVERY, ENDS = "every", "ends"  # which points of a sweep
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Episodes are counted per scenario, and where something drives, per contender too."""
+
+    seeds: tuple[int, ...]  # of training
+    episodes: int  # driven by the expert, to learn from
+    corrections: int  # DAgger rounds
+    corrected_episodes: int  # in each of them
+    steps: int  # optimiser steps of the first round; later rounds take half as many
+    validation: int  # closed-loop episodes after each third of a round
+    open_loop: int  # held-out episodes of the expert
+    scored: int  # episodes in closed loop
+    swept: int  # episodes at a point of a sweep
+    sweep_points: str  # EVERY point of a sweep, or the ENDS of it
+    ppo_steps: int  # decisions that PPO learns from
+
+    def __post_init__(self) -> None:
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"seeds must be at least one, each once, got {self.seeds}")
+        if self.sweep_points not in (EVERY, ENDS):
+            raise ValueError(f"sweep_points must be {EVERY} or {ENDS}, got {self.sweep_points!r}")
+        for name in ("open_loop", "scored", "ppo_steps"):
+            check_range(name, getattr(self, name), 1, 10**9)
+        check_range("swept", self.swept, 0, 10**6)
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "quick": Preset(
+            seeds=(0,), episodes=150, corrections=1, corrected_episodes=40, steps=900, validation=16, open_loop=24,
+            scored=100, swept=16, sweep_points=ENDS, ppo_steps=60_000,
+        ),
+        "full": Preset(
+            seeds=(0, 1, 2), episodes=600, corrections=2, corrected_episodes=200, steps=2400, validation=60,
+            open_loop=100, scored=500, swept=200, sweep_points=EVERY, ppo_steps=1_000_000,
+        ),
+    }
+)  # fmt: skip

@@ -1,0 +1,192 @@
+"""The tasks that make the paper's tables: record, train every row and seed, ask it, drive it, sweep; then put together.
+
+A task reads and writes files of its own, each whole or going on where it stopped, so that tasks can be shared out
+among processes and, by shards, among machines with one file system.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from baselines.contenders import CONTENDERS, contender_named
+from baselines.courses import Budget, Lesson, course_of, learn
+from baselines.grid import shard_of
+from baselines.paper.folder import ROWS as TABLE
+from baselines.paper.open_loop import FIRST_SEED, measure, open_path, write_open_loop
+from baselines.paper.sweeps import SWEEPS, SweepPoint
+from baselines.presets import ENDS, Preset
+from baselines.rows import ROWS
+from baselines.settings import Settings
+
+RADIO = "dsrc"
+SPARE = "ideal"  # what rows are scored over as well whose messages are too large for the other
+LARGE = ("points", "features")
+RECORDING, MODELS, PARTS = "recording", "models", "parts"
+EPISODE = 1.6  # work of an episode that is driven, where an optimiser step is 1
+
+Advance = Callable[[float], object]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A reproduction in a folder."""
+
+    out: Path
+    preset: Preset
+    scenarios: tuple[str, ...]
+    rows: tuple[str, ...]  # contenders, in the order of the tables
+
+    def budget(self) -> Budget:
+        """What the training of a row may cost."""
+        made = self.preset
+        return Budget(
+            self.scenarios, RADIO, made.episodes, made.corrections, made.steps, made.validation,
+            made.corrected_episodes,
+        )  # fmt: skip
+
+    def models(self, seed: int) -> Path:
+        """The models of a training seed."""
+        return self.out / MODELS / f"seed_{seed}"
+
+    def settings(self, row: str, seed: int, out: Path, **overrides: object) -> Settings:
+        """A run of evaluate.py of one contender."""
+        options = {"radio": RADIO, "episodes": self.preset.scored, **overrides}
+        return Settings(
+            scenario=self.scenarios, contender=(row,), out=out, report=False,
+            policy=(self.models(seed),) if contender_named(row).model else (), **options,  # type: ignore[arg-type]
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Task:
+    """A piece of work of one contender and training seed."""
+
+    stage: str  # of STAGES
+    row: str
+    seed: int
+    what: str = ""  # the scenario, the radio or the point of a sweep
+
+    def __str__(self) -> str:
+        return " ".join(str(part) for part in (self.stage, self.row, f"seed {self.seed}", self.what) if part)
+
+
+def in_table() -> tuple[str, ...]:
+    """All contenders that have a line in the tables, in their order."""
+    return tuple(name for name in TABLE if name in CONTENDERS)
+
+
+def units(plan: Plan, shard: str | None = None) -> list[tuple[str, int]]:
+    """Every contender and training seed, or those of a shard `i/n`; one that is not trained comes once.
+
+    Those that cost most come first, so that shards cost about the same.
+    """
+    number, count = (1, 1) if shard is None else shard_of(shard)
+    dear = sorted(plan.rows, key=lambda name: -_price(name))
+    every = [
+        (name, seed)
+        for name in dear
+        for seed in (plan.preset.seeds if contender_named(name).model else plan.preset.seeds[:1])
+    ]
+    return every[number - 1 :: count]
+
+
+def _price(name: str) -> int:
+    row = ROWS.get(name)
+    if row is None:
+        return 1 if contender_named(name).model else 0
+    # A row that begins as another comes later, when there is something to begin with.
+    return 4 if row.shares in LARGE else 2 if row.begins_as else 3
+
+
+def training(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
+    """What must be done before a contender can drive."""
+    if contender_named(unit[0]).model:
+        yield Task("train", *unit)
+
+
+def measuring(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
+    """What is measured of a contender; sweeps are of the first training seed."""
+    row, seed = unit
+    for radio in (RADIO, SPARE) if _is_large(row) else (RADIO,):
+        yield Task("closed", row, seed, radio)
+    for scenario in plan.scenarios:
+        yield Task("open", row, seed, scenario)
+    if seed == plan.preset.seeds[0] and plan.preset.swept:
+        for point in swept(plan.preset):
+            if row in point.contenders:
+                yield Task("sweep", row, seed, point.folder)
+
+
+def swept(preset: Preset) -> list[SweepPoint]:
+    """The points of all sweeps that a preset asks for."""
+    return [
+        point
+        for sweep in SWEEPS.values()
+        for point in (sweep.points[:: len(sweep.points) - 1] if preset.sweep_points == ENDS else sweep.points)
+    ]
+
+
+def _is_large(row: str) -> bool:
+    return row in ROWS and ROWS[row].shares in LARGE
+
+
+def _own_radio(row: str) -> str:
+    """The radio that carries what a row sends."""
+    return (ROWS[row].radio if row in ROWS else None) or RADIO
+
+
+def work_of(plan: Plan, task: Task) -> float:
+    """What `perform` tells its `advance`, about."""
+    if task.stage == "train":
+        return course_of(ROWS[task.row], task.seed, plan.budget()).work() if task.row in ROWS else 1.0
+    made, scenes = plan.preset, len(plan.scenarios)
+    return EPISODE * {"open": made.open_loop, "closed": made.scored * scenes, "sweep": made.swept * scenes}[task.stage]
+
+
+def perform(plan: Plan, task: Task, advance: Advance) -> None:
+    """Do it, or as much of it as is still to do."""
+    STAGES[task.stage](plan, task, advance)
+
+
+def _train(plan: Plan, task: Task, advance: Advance) -> None:
+    lesson = Lesson(task.row, task.seed, plan.models(task.seed), plan.out / RECORDING)
+    learn(lesson, course_of(ROWS[task.row], task.seed, plan.budget()), advance)
+
+
+def _open(plan: Plan, task: Task, advance: Advance) -> None:
+    path = open_path(plan.out, task.seed, task.what, task.row)
+    if not path.exists():
+        settings = plan.settings(task.row, task.seed, plan.out, radio=_own_radio(task.row))
+        seeds = range(FIRST_SEED, FIRST_SEED + plan.preset.open_loop)
+        write_open_loop(path, measure(contender_named(task.row), settings, task.what, seeds))
+    advance(EPISODE * plan.preset.open_loop)
+
+
+def table_of(task: Task) -> str:
+    """The folder, below that of the run, in which the contenders of such a task stand side by side."""
+    return f"closed/{task.what}/{task.seed}" if task.stage == "closed" else task.what
+
+
+def scoring(plan: Plan, task: Task) -> Settings:
+    """The run of evaluate.py that a task of stage closed or sweep is."""
+    out = plan.out / PARTS / table_of(task) / task.row
+    if task.stage == "closed":
+        return plan.settings(task.row, task.seed, out, radio=task.what)
+    point = next(point for point in swept(plan.preset) if point.folder == task.what)
+    options = {"radio": _own_radio(task.row), "episodes": plan.preset.swept, **point.overrides}
+    return plan.settings(task.row, task.seed, out, **options)
+
+
+def _score(plan: Plan, task: Task, advance: Advance) -> None:
+    from baselines.scoring import completed, opened
+
+    settings = scoring(plan, task)
+    store = opened(settings)
+    advance(EPISODE * len(store.records))
+    completed(settings, store, lambda episodes: advance(EPISODE * episodes))
+
+
+STAGES: Mapping[str, Callable[[Plan, Task, Advance], None]] = MappingProxyType(
+    {"train": _train, "open": _open, "closed": _score, "sweep": _score}
+)

@@ -1,0 +1,214 @@
+"""Make every table and plot of the paper's comparison: record, train all rows, score them, sweep, write the report.
+
+python reproduce.py --preset quick                     all rows, one training seed, few episodes: under 45 minutes
+python reproduce.py --preset full --jobs 2             three training seeds, 500 episodes: overnight on two cores
+python reproduce.py --preset full --shard 2/8          one of eight parts, on machines that share the folder --out
+python reproduce.py --preset full --merge              puts together what the shards have finished
+
+Interrupt it as you like: the same command goes on where it stopped. A row that fails does not stop the others.
+
+Minutes of quick, on two cores:
+
+    record the expert                         1
+    train the rows of graphs                 12
+    train the rows of points                  9
+    PPO                                       1
+    closed loop                               8
+    open loop                                 3
+    sweeps                                    8
+    tables and plots                          1
+"""
+
+import json
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from baselines.presets import PRESETS
+from cad_env.config import check_range
+from evaluate import parsed, refused, stopped
+
+BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+NOTE, FAILURES = "reproduce.json", "failures.txt"
+Failure = tuple[str, str]  # what failed, and why, in one line
+
+
+@dataclass(frozen=True)
+class ReproduceSettings:
+    """Train and score every row of the paper's tables, and write results.md, results.json and plots."""
+
+    preset: str = "quick"  # quick or full: how many seeds, steps and episodes (baselines/presets.py)
+    out: Path = Path("runs/paper")  # folder of everything
+    jobs: int = 2  # processes
+    shard: str | None = None  # i/n: only the i-th of n parts; the last step is a run without it, or with --merge
+    merge: bool = False  # nothing but the tables of what is finished
+    row: tuple[str, ...] = ()  # only these contenders; default: all of the tables
+
+    def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+        check_range("jobs", self.jobs, 1, 64)
+        if self.shard and self.merge:
+            raise ValueError("merge is of all shards: leave out --shard")
+
+    def command(self) -> str:
+        """What makes the whole run."""
+        return f"python reproduce.py --preset {self.preset} --out {self.out}"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    try:
+        settings = parsed(ReproduceSettings, argv)
+        plan = plan_of(settings)
+        claim(plan)
+        failures = [] if settings.merge else run(plan, settings.jobs, settings.shard)
+        if settings.shard is None:
+            put_together(plan, settings.command())
+    except (ValueError, OSError) as error:
+        return refused(error)
+    except (KeyboardInterrupt, BrokenExecutor) as error:
+        return stopped(error)
+    for what, why in failures:
+        print(f"failed: {what}: {why}", file=sys.stderr)
+    return 1 if failures else 0
+
+
+def plan_of(settings: ReproduceSettings) -> Any:
+    """What to do; ValueError for rows or shards that do not exist."""
+    from baselines.grid import shard_of
+    from baselines.reproduction import Plan, in_table
+    from cad_env.scenarios import SCENARIOS
+
+    if settings.shard is not None:
+        shard_of(settings.shard)
+    if unknown := [name for name in settings.row if name not in in_table()]:
+        raise ValueError(f"unknown row {unknown[0]!r}: choose among {', '.join(in_table())}")
+    rows = tuple(name for name in in_table() if not settings.row or name in settings.row)
+    return Plan(settings.out, PRESETS[settings.preset], tuple(SCENARIOS), rows)
+
+
+def claim(plan: Any) -> None:
+    """Note in the folder what it is for; ValueError if it holds a run of another preset or version of the scenes."""
+    from baselines.store import difference
+    from cad_env.compiled import version
+    from cad_env.files import replace_file
+
+    wanted = json.loads(json.dumps({**asdict(plan.preset), "version of cad_env": version()}))
+    path = plan.out / NOTE
+    if path.exists():
+        try:
+            found = json.loads(path.read_text())
+        except ValueError:
+            raise ValueError(f"{path} is damaged: use another folder or delete that one") from None
+        if change := difference(found, wanted):
+            raise ValueError(f"{plan.out} holds a run with {change}: use another --out or delete it")
+        return
+    plan.out.mkdir(parents=True, exist_ok=True)
+    replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
+
+
+def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
+    """Record, then train, then measure, with one progress bar; what failed, once for each contender and seed."""
+    from tqdm import tqdm
+
+    from baselines import reproduction as of
+
+    mine = of.units(plan, shard)
+    trainings = [task for unit in mine for task in of.training(plan, unit)]
+    measurings = [task for unit in mine for task in of.measuring(plan, unit)]
+    recording = float(plan.preset.episodes * len(plan.scenarios))
+    total = recording + sum(of.work_of(plan, task) for task in trainings + measurings)
+    failures: list[Failure] = []
+    with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
+        lost = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
+        if lost:
+            return lost
+        for name, tasks in (("train", trainings), ("measure", measurings)):
+            bar.set_description(name)
+            lost = _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
+            failures += lost
+    _note(plan.out / FAILURES, failures)
+    return [(what, why.splitlines()[-1]) for what, why in failures]
+
+
+def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:
+    """Those whose contender was not lost in training."""
+    lost = {what for what, _ in failures}
+    return [task for task in tasks if f"train {task.row} seed {task.seed}" not in lost]
+
+
+def _note(path: Path, failures: Sequence[Failure]) -> None:
+    """Keep the whole story of the failures of this run."""
+    path.unlink(missing_ok=True)
+    if failures:
+        path.write_text("\n\n".join(f"{what}\n{why}" for what, why in failures) + "\n")
+
+
+def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) -> list[Failure]:
+    """Do all tasks, side by side; those that failed, with the traceback."""
+    from baselines.workers import workers
+
+    if not tasks:
+        return []
+    with workers(min(jobs, len(tasks))) as (pool, told):
+        running = {pool.submit(work, task): task for task in tasks}
+        while not all(future.done() for future in running):
+            bar.update(_heard(told))
+        bar.update(_heard(told))
+        return [(str(task), future.result()) for future, task in running.items() if future.result()]
+
+
+def _heard(told: Any) -> float:
+    import queue
+
+    try:
+        work = float(told.get(timeout=0.5))
+        while not told.empty():
+            work += float(told.get())
+        return work
+    except queue.Empty:
+        return 0.0
+
+
+def _record(plan: Any, scenario: str) -> str:
+    from baselines.reproduction import RECORDING
+    from baselines.workers import tell
+    from policies.training import record_expert
+
+    return _attempt(lambda: record_expert(plan.out / RECORDING, scenario, plan.preset.episodes, tell))
+
+
+def _perform(plan: Any, task: Any) -> str:
+    from baselines.reproduction import perform
+    from baselines.workers import tell
+
+    return _attempt(lambda: perform(plan, task, tell))
+
+
+def _attempt(act: Callable[[], object]) -> str:
+    """The traceback of what went wrong, or nothing."""
+    try:
+        act()
+    except Exception:  # a row that fails, however it does, must not stop the others
+        return traceback.format_exc()
+    return ""
+
+
+def put_together(plan: Any, command: str) -> None:
+    """Tables and plots of all that is finished."""
+    from baselines.gathering import gather
+    from baselines.paper.report import write
+
+    if lacking := gather(plan):
+        print(f"{lacking} parts are not finished: the tables are without them", file=sys.stderr)
+    print(f"The tables and plots: {write(plan.out, command)}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

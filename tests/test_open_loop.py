@@ -1,0 +1,136 @@
+"""Contenders are asked at every frame of the expert's episodes, and what they answer is kept whole."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines.contenders import contender_named
+from baselines.paper.open_loop import OpenEpisode, OpenLoop, measure, read_open_loop, write_open_loop
+from baselines.paper.open_metrics import average_precision, open_score, ratios
+from baselines.settings import Settings
+from cad_env.env import CADEnv
+from cad_env.planner import Expert
+from cad_env.rollout import rollout
+from policies.driver import LearnedPolicy
+from policies.saved import SavedModel, save_model
+from policies.stgraph import StGraphNet
+
+SEEDS = range(800_000, 800_003)
+EPISODE = OpenEpisode(800_000, True, "0011", "0110", (0.1, 0.7, 0.9, 0.2), 8, 2400, 400)
+LOOP = OpenLoop("left_turn", "stgraph", "dsrc", (EPISODE, replace(EPISODE, seed=800_001, brake_probability=None)))
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
+    models = tmp_path_factory.mktemp("models")
+    save_model(models / "shared", SavedModel(StGraphNet(seed=1), 0.5))
+    return Settings(scenario=("left_turn",), contender=("expert",), policy=(models,))
+
+
+def asked(name: str, settings: Settings) -> OpenLoop:
+    return measure(contender_named(name), settings, "left_turn", SEEDS)
+
+
+def test_whoever_is_asked_the_expert_drives(settings: Settings) -> None:
+    expert, going, braking, own = (asked(n, settings) for n in ("expert", "always-go", "always-brake", "planner-own"))
+    assert [episode.labels for episode in expert.episodes] == [episode.answers for episode in expert.episodes]
+    for loop in (going, braking, own):
+        assert [episode.labels for episode in loop.episodes] == [episode.labels for episode in expert.episodes]
+    assert all(set(episode.answers) == {"0"} for episode in going.episodes)
+    assert all(set(episode.answers) == {"1"} for episode in braking.episodes)
+    assert sum(episode.messages for episode in own.episodes) == 0
+    alone = rollout(CADEnv(), Expert(), SEEDS[0])
+    assert expert.episodes[0].labels == "".join(map(str, alone.action.tolist()))
+
+
+def test_a_network_answers_as_it_drives_and_says_how_sure_it_is(settings: Settings) -> None:
+    loop = asked("stgraph", settings)
+    seen = []
+    episode = rollout(CADEnv(), Expert(), SEEDS[1], watch=lambda env, observation, action: seen.append(observation))
+    policy = LearnedPolicy(StGraphNet(seed=1), 0.5)
+    found = loop.episodes[1]
+    assert found.answers == "".join(str(policy.act(observation)) for observation in seen)
+    assert found.brake_probability is not None
+    assert found.answers == "".join(str(int(p >= 0.5)) for p in found.brake_probability)
+    assert (found.messages, found.bytes) == (episode.messages_sent.sum(), episode.bytes_sent.sum())
+    assert found.largest == episode.largest_message.max()
+    assert loop.radio == "dsrc"
+
+
+def test_it_survives_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "open" / "0" / "left_turn_stgraph.json"
+    write_open_loop(path, LOOP)
+    assert read_open_loop(path) == LOOP
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("change", [
+    {"labels": "002"}, {"labels": ""}, {"answers": "0"}, {"seed": -1}, {"hazard": 1}, {"messages": 1.5},
+    {"brake_probability": [0.5]}, {"brake_probability": [2.0] * 4}, {"brake_probability": 0.5}, {"more": 1},
+])  # fmt: skip
+def test_an_altered_episode_is_refused_in_one_line(tmp_path: Path, change: dict[str, object]) -> None:
+    path = tmp_path / "x.json"
+    write_open_loop(path, LOOP)
+    data = json.loads(path.read_text())
+    data["episodes"][0] |= change
+    path.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"x\.json: ") as caught:
+        read_open_loop(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"scenario": 1, "contender": "", "radio": "", "episodes": [1]}',
+                                  '{"scenario": "", "contender": "", "radio": "", "episodes": []}'])  # fmt: skip
+def test_what_is_no_measurement_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(ValueError, match=r"x\.json: "):
+        read_open_loop(tmp_path / "x.json")
+
+
+def test_counts_by_hand() -> None:
+    assert EPISODE.counts() == (1, 1, 1, 1)
+    calm = replace(EPISODE, labels="0000", answers="0000", brake_probability=None)
+    assert calm.counts() == (0, 0, 0, 4)
+    assert np.isnan(ratios(np.array(calm.counts(), float))).tolist() == [True, False, True, True, False]
+
+
+def test_average_precision_is_the_mean_precision_at_each_hit() -> None:
+    rng = np.random.default_rng(0)
+    scores, labels = rng.random(60), rng.integers(0, 2, 60)
+    ranked = labels[np.argsort(-scores)]
+    at_hits = [ranked[: k + 1].mean() for k in range(60) if ranked[k]]
+    assert average_precision(scores, labels, np.ones(60)) == pytest.approx(np.mean(at_hits))
+    weights = rng.integers(0, 4, 60)
+    repeated = average_precision(np.repeat(scores, weights), np.repeat(labels, weights), np.ones(weights.sum()))
+    assert average_precision(scores, labels, weights.astype(float)) == pytest.approx(repeated)
+    assert average_precision(np.full(60, 0.5), labels, np.ones(60)) == pytest.approx(labels.mean())
+    assert np.isnan(average_precision(scores, np.zeros(60, int), np.ones(60)))
+
+
+def test_a_score_counts_frames_and_draws_episodes() -> None:
+    other = replace(EPISODE, seed=800_001, labels="1100", answers="1100", brake_probability=(0.9, 0.8, 0.1, 0.2))
+    loop = replace(LOOP, episodes=(EPISODE, other))
+    score = open_score({0: loop, 1: loop}, np.random.default_rng(0))
+    assert (score.training_seeds, score.episodes, score.frames, score.brake_share) == (2, 2, 8, 0.5)
+    assert score.ad is not None
+    assert score.ear is not None
+    assert (score.ad.value, score.ear.value) == (0.75, 0.75)
+    assert (score.ad.low, score.ad.high) == (0.5, 1.0)  # two episodes: both the one, or both the other
+    assert score.ad_spread == (0.75, 0.75)
+    assert score.bytes_per_message == 300
+    assert score.average_precision is not None
+    assert 0.0 < score.average_precision.low <= score.average_precision.value <= score.average_precision.high <= 1.0
+
+
+def test_who_has_no_probability_has_no_average_precision() -> None:
+    assert open_score({0: LOOP}, np.random.default_rng(0)).average_precision is None
+
+
+def test_training_seeds_are_compared_on_what_all_have() -> None:
+    short = replace(LOOP, episodes=LOOP.episodes[1:])
+    assert open_score({0: LOOP, 1: short}, np.random.default_rng(0)).episodes == 1
+    with pytest.raises(ValueError, match="no held-out episode in common"):
+        open_score({0: short, 1: replace(LOOP, episodes=LOOP.episodes[:1])}, np.random.default_rng(0))

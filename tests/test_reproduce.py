@@ -1,0 +1,133 @@
+"""One command makes all tables; here with as little of everything as there can be."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+import reproduce
+from baselines.gathering import gather
+from baselines.paper.report import write
+from baselines.presets import PRESETS, Preset
+from baselines.reproduction import Plan, in_table, measuring, perform, training, units
+from baselines.rows import ROWS
+from baselines.store import read_records
+
+torch.set_num_threads(1)
+
+TINY = Preset(
+    seeds=(0, 1), episodes=6, corrections=0, corrected_episodes=1, steps=3, validation=1, open_loop=2, scored=2,
+    swept=1, sweep_points="ends", ppo_steps=256,
+)  # fmt: skip
+SCENES = ("left_turn",)
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Plan:
+    return Plan(tmp_path / "run", TINY, SCENES, ("always-go", "command-only", "stgraph"))
+
+
+def test_every_row_of_the_tables_is_asked_for() -> None:
+    assert set(ROWS) <= set(in_table())
+    found = reproduce.plan_of(reproduce.ReproduceSettings(preset="full"))
+    assert found.rows == in_table()
+    assert {name for name, _ in units(found)} == set(found.rows)
+
+
+def test_what_is_trained_comes_once_a_seed_and_what_is_not_once(plan: Plan) -> None:
+    assert sorted(units(plan)) == [
+        ("always-go", 0), ("command-only", 0), ("command-only", 1), ("stgraph", 0), ("stgraph", 1),
+    ]  # fmt: skip
+    assert not list(training(plan, ("always-go", 0)))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_shards_share_out_everything_once(plan: Plan, count: int) -> None:
+    parts = [units(plan, f"{number}/{count}") for number in range(1, count + 1)]
+    assert sorted(unit for part in parts for unit in part) == sorted(units(plan))
+
+
+def test_sweeps_are_of_the_first_seed_and_of_the_rows_that_are_compared(plan: Plan) -> None:
+    stages = {unit: {task.stage for task in measuring(plan, unit)} for unit in units(plan)}
+    assert stages["stgraph", 0] == {"closed", "open", "sweep"}
+    assert stages["stgraph", 1] == stages["command-only", 0] == {"closed", "open"}
+    everything = replace(plan, preset=replace(TINY, sweep_points="every"))
+    assert len(list(measuring(everything, ("stgraph", 0)))) > len(list(measuring(plan, ("stgraph", 0))))
+
+
+def test_what_is_done_is_not_done_again_and_stands_side_by_side(plan: Plan) -> None:
+    plan = replace(plan, rows=("always-go", "command-only"), preset=replace(TINY, seeds=(0,)))
+    tasks = [task for unit in units(plan) for stage in (training, measuring) for task in stage(plan, unit)]
+    told: list[float] = []
+    for task in tasks:
+        perform(plan, task, told.append)
+    assert gather(plan) == 0
+    records = read_records(plan.out / "closed" / "dsrc" / "0")
+    assert [record.contender for record in records] == ["always-go"] * 2 + ["command-only"] * 2
+    before = {path: path.stat().st_mtime_ns for path in plan.out.glob("models/**/*.*")}
+    before |= {path: path.stat().st_mtime_ns for path in plan.out.glob("open/*/*.json")}
+    assert len(before) > 5
+    for task in tasks:
+        perform(plan, task, told.append)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert gather(plan) == 0
+    assert read_records(plan.out / "closed" / "dsrc" / "0") == records
+    text = write(plan.out).read_text()
+    assert "command-only" in text
+
+
+def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:
+    for task in measuring(plan, ("always-go", 0)):
+        perform(plan, task, lambda work: None)
+    assert gather(plan) > 0
+    assert {record.contender for record in read_records(plan.out / "closed/dsrc/0")} == {"always-go"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--preset", "quikc"], "preset must be one of quick, full, got 'quikc'"),
+        (["--row", "gta"], "unknown row 'gta'"),
+        (["--shard", "3/2"], "shard must be i/n"),
+        (["--shard", "1/2", "--merge"], "leave out --shard"),
+        (["--jobs", "0"], "jobs must be"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reproduce.main([*arguments, "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_of_another_preset_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = Plan(tmp_path, PRESETS["full"], SCENES, ("always-go",))
+    reproduce.claim(plan)
+    assert reproduce.main(["--preset", "quick", "--merge", "--out", str(tmp_path)]) == 2
+    assert "holds a run with another seeds" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
+    broken = tmp_path / "run/models/seed_0/command-only"
+    broken.mkdir(parents=True)
+    (broken / "course.json").write_text("not JSON")
+    arguments = ["--row", "command-only", "gat", "always-go", "--out", str(tmp_path / "run")]
+    assert reproduce.main(arguments) == 1
+    error = capsys.readouterr().err
+    assert "failed: train command-only seed 0: ValueError" in error
+    records = read_records(tmp_path / "run/closed/dsrc/0")
+    assert {record.contender for record in records} == {"always-go", "gat"}
+    assert "Traceback" in (tmp_path / "run/failures.txt").read_text()
+    (broken / "course.json").unlink()
+    assert reproduce.main(arguments) == 0
+    found = json.loads((tmp_path / "run/results.json").read_text())
+    assert "command-only" in json.dumps(found["closed"])

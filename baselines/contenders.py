@@ -48,6 +48,12 @@ def _planner(_: Path) -> Policy:
     return Planner()
 
 
+def _cautious(_: Path) -> Policy:
+    from cad_env.cautious import Cautious
+
+    return Cautious()
+
+
 def _expert(_: Path) -> Policy:
     from cad_env.planner import Expert
 
@@ -77,9 +83,12 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
             Contender("expert", TRUTH, _expert),
             _learned("stgraph", SENT, "shared"),
             _learned("stgraph-own", SEEN, "own"),
+            Contender("cautious-own", SEEN, _cautious),
+            _learned("ppo", SENT, "ppo"),
         )
     }
 )
+SHIPPED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
 
 
 def contender_named(name: str) -> Contender:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.cluster import check_ray
-from baselines.contenders import CONTENDERS, contender_named, shipped_models
+from baselines.contenders import SHIPPED, contender_named, shipped_models
 from baselines.grid import Task, grid, shard_of
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
 from cad_env.types import FRAMES
@@ -27,7 +27,7 @@ class Settings:
     """
 
     scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
-    contender: tuple[str, ...] = tuple(CONTENDERS)  # who drives, in the order of the table
+    contender: tuple[str, ...] = SHIPPED  # who drives, in the order of the table
     policy: Path | None = None  # folder of the trained models `shared` and `own`; default: those of the package
     episodes: int = 500  # per scenario and contender
     first_seed: int = 1_000_000  # training never uses seeds from a million on

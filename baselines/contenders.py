@@ -56,6 +56,12 @@ def _planner(_: Path) -> Policy:
     return Planner()
 
 
+def _cautious(_: Path) -> Policy:
+    from cad_env.cautious import Cautious
+
+    return Cautious()
+
+
 def _expert(_: Path) -> Policy:
     from cad_env.planner import Expert
 
@@ -88,6 +94,8 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
             Contender("planner-shared", SENT, _planner),
             Contender("expert", TRUTH, _expert),
             *(_learned(row) for row in ROWS.values()),
+            Contender("cautious-own", SEEN, _cautious),
+            _learned(Row("ppo")),  # learns by reward, and not as the rows do
         )
     }
 )

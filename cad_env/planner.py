@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from cad_env.compiled import compiled, compiled_part
+from cad_env.compiled import compiled
 from cad_env.config import check_range
 from cad_env.motion import fit_motion, lane_heading
 from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, TRUCK, Floats, Ints, Observation
@@ -77,8 +77,8 @@ class Truths(Protocol):
         """The expert's decisions, (n,)."""
 
 
-@compiled_part
-def _box_on_way(way: Floats, arc: float) -> tuple[float, float, float]:
+@compiled
+def box_on_way(way: Floats, arc: float) -> tuple[float, float, float]:
     """(x, y, heading) at an arc length along a polyline whose points are ROUTE_SPACING apart."""
     last = way.shape[0] - 2
     index = min(max(int(arc / ROUTE_SPACING), 0), last)
@@ -97,7 +97,7 @@ def contact_ahead(way: Floats, ego: Floats, others: Floats, braking: bool, secon
     """
     speed, arc, time = ego[0], 0.0, 0.0
     for step in range(int(seconds / STEP) + 1):
-        x, y, heading = _box_on_way(way, arc)
+        x, y, heading = box_on_way(way, arc)
         for k in range(others.shape[0]):
             pace = others[k, 3]
             turn = others[k, 2] - heading
@@ -193,12 +193,17 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
 
 
 @compiled
-def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
-                   oncoming: Ints, rule: Rule) -> int:  # fmt: skip
-    """The planner's decision on the fields of an observation."""
-    way = np.zeros((route.shape[0] + 1, 2))  # the ego is the origin
+def way_of(route: Floats) -> Floats:
+    """The way from the ego on, which is the origin, (P + 1, 2) m, by the route (P, 2) of an observation."""
+    way = np.zeros((route.shape[0] + 1, 2))
     for p in range(route.shape[0]):
         way[p + 1, 0], way[p + 1, 1] = route[p, 0], route[p, 1]
+    return way
+
+
+@compiled
+def known_vehicles(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, way: Floats) -> Floats:
+    """Every track of an observation whose motion is known, as a row (n, 6) of `others` in `contact_ahead`."""
     others = np.empty((mask.shape[0], 6))
     n = 0
     for k in range(mask.shape[0]):
@@ -207,8 +212,17 @@ def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego
             length, width = TRUCK_SIZE if kind[k] == TRUCK else CAR_SIZE
             others[n, 4], others[n, 5] = length, width
             n += 1
+    return others[:n]
+
+
+@compiled
+def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
+                   oncoming: Ints, rule: Rule) -> int:  # fmt: skip
+    """The planner's decision on the fields of an observation."""
+    way = way_of(route)
+    others = known_vehicles(tracks, mask, kind, odometry, way)
     stretch = oncoming_stretch(oncoming, ROUTE_SPACING)
-    return decide(way, ego.astype(np.float64), others[:n], stretch, rule)
+    return decide(way, ego.astype(np.float64), others, stretch, rule)
 
 
 @compiled

@@ -41,14 +41,25 @@ def supports(config: StGraphConfig) -> bool:
 
 def fused_logits(network: StGraphNet, observation: Mapping[str, Tensor]) -> Tensor:
     """What `network(observation)` gives, logits (B, 2), and its gradients; dense where it is not supported."""
-    if not supports(network.config) or network.project.weight.device.type != "cpu":
+    if not _is_fused(network):
         logits: Tensor = network(observation)
         return logits
-    batch = _batch({key: observation[key].numpy() for key in ("tracks", "mask", "ego") if key in observation})
-    embedded = _Embed.apply(batch, network.config, *_weights(network))  # type: ignore[no-untyped-call]
-    dtype = network.project.weight.dtype
-    decided: Tensor = network.decide(torch.cat([embedded.to(dtype), observation["command"].to(dtype)], dim=1))
+    embedded = fused_embedding(network, observation)
+    decided: Tensor = network.decide(torch.cat([embedded, observation["command"].to(embedded.dtype)], dim=1))
     return decided
+
+
+def fused_embedding(network: StGraphNet, observation: Mapping[str, Tensor]) -> Tensor:
+    """What `network.embed(observation)` gives, (B, D), and its gradients; dense where it is not supported."""
+    if not _is_fused(network):
+        return network.embed(observation)
+    batch = _batch({key: observation[key].numpy() for key in ("tracks", "mask", "ego") if key in observation})
+    embedded: Tensor = _Embed.apply(batch, network.config, *_weights(network))  # type: ignore[no-untyped-call]
+    return embedded.to(network.project.weight.dtype)
+
+
+def _is_fused(network: StGraphNet) -> bool:
+    return supports(network.config) and network.project.weight.device.type == "cpu"
 
 
 class FusedNet:

@@ -36,7 +36,7 @@ def test_only_the_expert_sees_the_truth(models: Path) -> None:
 
 
 def test_an_unknown_contender_is_refused_with_the_choices() -> None:
-    with pytest.raises(ValueError, match=r"unknown contender 'planer': choose among always-go, .*, stgraph-own"):
+    with pytest.raises(ValueError, match=r"unknown contender 'planer': choose among always-go, .*, stgraph-own, "):
         contender_named("planer")
 
 

@@ -12,7 +12,9 @@ from torch.nn.functional import cross_entropy
 
 import cad_env
 import policies
+from baselines.contenders import shipped_models
 from cad_env.compiled import cache_folder
+from cad_env.scenarios import SCENARIOS
 from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, fit
 from policies.driver import LearnedPolicy
@@ -20,6 +22,7 @@ from policies.family import Frames
 from policies.fused import FusedNet, fused_logits, supports
 from policies.fused_attention import exponentials
 from policies.recording import joined, record, replay
+from policies.saved import load_model
 from policies.stgraph import StGraphConfig, StGraphNet
 from policies.stgraph_family import FAMILY
 
@@ -141,6 +144,22 @@ def test_2000_random_observations_are_decided_as_by_the_dense_network() -> None:
 @pytest.mark.slow
 def test_10000_random_observations_are_decided_as_by_the_dense_network() -> None:
     same_decisions(10_000)
+
+
+@pytest.mark.slow
+def test_10000_recorded_observations_are_decided_by_the_shipped_network_as_by_its_dense_self(tmp_path: Path) -> None:
+    model = load_model(shipped_models("left_turn") / "shared")
+    seen = 0
+    for scenario in SCENARIOS:
+        envs = CADVectorEnv(32, scenario=scenario)
+        recording = joined(record(tmp_path / scenario, envs, None, range(40), lambda _: None))
+        frames = FAMILY.frames(*replay(recording, envs, FAMILY.look))
+        batch = frames.batch(np.arange(len(frames)))
+        dense = dense_logits(model.network.double(), batch) @ (-1, 1)
+        decided = LearnedPolicy(model.network, model.threshold).act_batch(batch)
+        np.testing.assert_array_equal(decided, 1 / (1 + np.exp(-dense)) >= model.threshold)
+        seen += len(frames)
+    assert seen >= 10_000
 
 
 @pytest.mark.parametrize("name", FUSED)

@@ -1,7 +1,7 @@
 """Labelled frames of point clouds in a form that takes little memory: whole centimetres, no padding.
 
 A frame holds the clouds of some vehicles, each with the pose of its own frame in the ego's. 60,000 frames of five
-vehicles with 128 points each would take 245 MB; the clouds of the scenes are a third as large.
+vehicles with 128 points each would take 240 MB; as the left turn's clouds are, they take 140 MB.
 """
 
 from collections.abc import Sequence

@@ -33,6 +33,7 @@ from baselines.families.points import (
 )
 from cad_env.cloud import CloudConfig, OwnCloud
 from cad_env.pipeline.points import KEPT, thinned
+from cad_env.pipeline.radio import REACHES
 from cad_env.simulation import Simulation
 from cad_env.types import Floats, Ints, Observation
 from policies.stgraph import Linear
@@ -190,12 +191,16 @@ class CompressedFamily:
         return {"cloud": CloudConfig(codec=LearnedFeatures(network), merged=VEHICLES * network.config.keypoints)}
 
     def look(self, simulation: Simulation, observation: Observation) -> Seen:
-        """The clouds of the ego and of the nearest others that its radio reaches."""
-        clouds, radio = simulation.clouds, simulation.setup.radio
+        """The clouds of the ego and of the nearest others whose messages reach it now.
+
+        So a loss, or a message over the budget, is missing in training as in driving. With a delay the clouds are
+        those of now, though what arrives is older.
+        """
+        clouds = simulation.clouds
         assert clouds is not None, "the environment of this family shares points"
-        own, reach = clouds[0], radio.range if radio.budget > 0 else -1.0
-        others = sorted(clouds[1:], key=lambda other: _apart(own, other))
-        near = [own, *(other for other in others if _apart(own, other) <= reach)][:VEHICLES]
+        heard = [clouds[v] for v in range(1, len(clouds)) if simulation.arrival(v, 0)[0] == REACHES]
+        own = clouds[0]
+        near = [own, *sorted(heard, key=lambda other: _apart(own, other))][:VEHICLES]
         pose = np.stack([_relative(other.pose, own.pose) for other in near])
         return seen([cloud.thinned for cloud in near], pose, KEPT, observation)
 

@@ -6,6 +6,7 @@ among processes and, by shards, among machines with one file system.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,7 +24,8 @@ RADIO = "dsrc"
 SPARE = "ideal"  # what rows are scored over as well whose messages are too large for the other
 LARGE = ("points", "features")
 RECORDING, MODELS, PARTS = "recording", "models", "parts"
-EPISODE = 1.6  # work of an episode that is driven, where an optimiser step is 1
+PPO = "ppo"  # the one learned row that is not taught by the expert
+EPISODE, DECISION = 1.6, 0.05  # work of an episode that is driven and of PPO's decision; an optimiser step is 1
 
 Advance = Callable[[float], object]
 
@@ -94,7 +96,7 @@ def units(plan: Plan, shard: str | None = None) -> list[tuple[str, int]]:
 def _price(name: str) -> int:
     row = ROWS.get(name)
     if row is None:
-        return 1 if contender_named(name).model else 0
+        return 3 if contender_named(name).model else 0
     # A row that begins as another comes later, when there is something to begin with.
     return 4 if row.shares in LARGE else 2 if row.begins_as else 3
 
@@ -139,8 +141,9 @@ def _own_radio(row: str) -> str:
 def work_of(plan: Plan, task: Task) -> float:
     """What `perform` tells its `advance`, about."""
     if task.stage == "train":
-        work = course_of(ROWS[task.row], task.seed, plan.budget()).work() if task.row in ROWS else 1.0
-        return _cost(task.row) * work
+        if task.row == PPO:
+            return DECISION * plan.preset.ppo_steps
+        return _cost(task.row) * course_of(ROWS[task.row], task.seed, plan.budget()).work()
     made, scenes = plan.preset, len(plan.scenarios)
     episodes = {"open": made.open_loop, "closed": made.scored * scenes, "sweep": made.swept * scenes}
     return _cost(task.row) * EPISODE * episodes[task.stage]
@@ -156,6 +159,11 @@ def perform(plan: Plan, task: Task, advance: Advance) -> None:
 
 
 def _train(plan: Plan, task: Task, advance: Advance) -> None:
+    if task.row == PPO:
+        learn_by_trial = import_module("baselines.families.ppo").train_ppo  # here, because it brings torch
+        folder = plan.models(task.seed) / PPO
+        learn_by_trial(folder, plan.preset.ppo_steps, task.seed, plan.scenarios, lambda done: advance(DECISION * done))
+        return
     lesson = Lesson(task.row, task.seed, plan.models(task.seed), plan.out / RECORDING)
     learn(lesson, course_of(ROWS[task.row], task.seed, plan.budget()), advance)
 

@@ -38,7 +38,7 @@ class Preset:
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "quick": Preset(
-            seeds=(0,), episodes=200, corrections=1, corrected_episodes=60, steps=1200, validation=18, open_loop=40,
+            seeds=(0,), episodes=240, corrections=2, corrected_episodes=60, steps=1500, validation=18, open_loop=40,
             scored=150, swept=24, sweep_points=ENDS, ppo_steps=60_000,
         ),
         "full": Preset(

@@ -152,28 +152,16 @@ def _note(path: Path, failures: Sequence[Failure]) -> None:
 
 def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) -> list[Failure]:
     """Do all tasks, side by side; those that failed, with the traceback."""
-    from baselines.workers import workers
+    from baselines.workers import heard, workers
 
     if not tasks:
         return []
     with workers(min(jobs, len(tasks))) as (pool, told):
         running = {pool.submit(work, task): task for task in tasks}
         while not all(future.done() for future in running):
-            bar.update(_heard(told))
-        bar.update(_heard(told))
+            bar.update(heard(told))
+        bar.update(heard(told))
         return [(str(task), future.result()) for future, task in running.items() if future.result()]
-
-
-def _heard(told: Any) -> float:
-    import queue
-
-    try:
-        work = float(told.get(timeout=0.5))
-        while not told.empty():
-            work += float(told.get())
-        return work
-    except queue.Empty:
-        return 0.0
 
 
 def _record(plan: Any, scenario: str) -> str:

@@ -8,7 +8,6 @@ python train.py --episodes 200 --corrections 0 --steps 600 --score 50 --out runs
 Interrupt it as you like: the same command goes on where it stopped.
 """
 
-import queue
 import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Future
@@ -133,24 +132,16 @@ def train_all(settings: TrainSettings, lessons: Sequence[tuple[Lesson, Any]]) ->
 
 
 def _wait_for(running: "Sequence[Future[None]]", told: Any, bar: Any) -> None:
+    from baselines.workers import heard
+
     while not all(future.done() for future in running):
-        bar.update(_heard(told))
+        bar.update(heard(told))
         _raise_if_failed(running)
-    bar.update(_heard(told))
+    bar.update(heard(told))
     _raise_if_failed(running)
 
 
 BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
-
-
-def _heard(told: Any) -> float:
-    try:
-        work = float(told.get(timeout=0.5))
-        while not told.empty():
-            work += float(told.get())
-        return work
-    except queue.Empty:
-        return 0.0
 
 
 def _raise_if_failed(running: Sequence[Future[None]]) -> None:

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import queue
 import signal
 import threading
 from collections.abc import Iterator
@@ -50,6 +51,17 @@ def tell(work: float) -> None:
     """Called by a task: report progress to the process that it works for."""
     if _told is not None:
         _told.put(work)
+
+
+def heard(told: "Queue[float]") -> float:
+    """What tasks have told since the last time; waits half a second for the first."""
+    try:
+        work = float(told.get(timeout=0.5))
+        while not told.empty():
+            work += float(told.get())
+        return work
+    except queue.Empty:
+        return 0.0
 
 
 @contextmanager

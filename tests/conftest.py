@@ -1,9 +1,14 @@
-"""What every test needs: no window, and hypothesis set so that the same commit gives the same verdict."""
+"""What every test needs: no window, hypothesis set so that a commit always gives the same verdict; and `refused`."""
 
 import os
 import signal
+from collections.abc import Callable
+from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
+
+import evaluate
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
@@ -18,3 +23,19 @@ settings.register_profile(
 # pytest --hypothesis-profile=search looks for what 50 fixed examples miss.
 settings.register_profile("search", settings.get_profile("repeatable"), max_examples=2000, derandomize=False)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs a scoring command that must be refused; gives what was said."""
+
+    def refusal(folder: Path, *arguments: str) -> str:
+        capsys.readouterr()
+        assert evaluate.main([*arguments, "--no-report", "--out", str(folder)]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith("error: ")
+        assert said.err.count("\n") == 1
+        return said.err
+
+    return refusal

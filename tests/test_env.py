@@ -1,4 +1,4 @@
-"""The single-agent environment: outcomes, what info says, highway-env's face, and what is refused."""
+"""The single-agent environment: outcomes, what info says, and which actions are refused."""
 
 import math
 import re
@@ -6,16 +6,13 @@ import re
 import gymnasium as gym
 import numpy as np
 import pytest
-from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.road.road import RoadNetwork
 from scenes import Steady, Twitchy
 
-from cad_env import RADIO_PRESETS, RadioConfig, SensorConfig
+from cad_env import RadioConfig
 from cad_env.env import CADEnv
 from cad_env.planner import Expert
 from cad_env.rollout import rollout
 from cad_env.types import BRAKE, GO
-from cad_env.world.state import OFF
 
 HAZARDS = range(1_000_000, 1_000_005)
 INFO = {
@@ -134,89 +131,6 @@ def test_messages_are_lost_at_the_rate_of_the_radio():
     assert abs(lost / heard - 0.3) < 5 * math.sqrt(0.3 * 0.7 / heard)
 
 
-def test_it_is_a_highway_env_environment():
-    env = gym.make("CADLeftTurn-v0").unwrapped
-    assert isinstance(env, AbstractEnv)
-    env.reset(seed=0)
-    assert env.config["policy_frequency"] == 10
-    assert isinstance(env.road.network, RoadNetwork)
-    assert env.vehicle is env.road.vehicles[0]
-    assert len(env.road.vehicles) == len(env.simulation.world.speed)
-    assert env.vehicle.lane_index == ("south_far", "south_line", 0)
-    assert env.vehicle.on_road
-    env.close()
-
-
-def test_vehicles_are_live_views_on_the_world():
-    env = CADEnv()
-    env.reset(seed=0)
-    world, vehicle = env.simulation.world, env.road.vehicles[2]
-    vehicle.speed, vehicle.heading, vehicle.target_speed, vehicle.position = 3.5, 0.25, 4.5, (7.0, 8.0)
-    assert (world.speed[2], world.heading[2], world.target_speed[2]) == (3.5, 0.25, 4.5)
-    assert world.position[2].tolist() == [7.0, 8.0]
-    world.speed[2] = 1.25
-    assert vehicle.speed == 1.25
-    assert vehicle.velocity.tolist() == pytest.approx([1.25 * math.cos(0.25), 1.25 * math.sin(0.25)])
-    assert tuple(world.size[2]) == (vehicle.LENGTH, vehicle.WIDTH)
-    assert not vehicle.crashed
-    world.struck[2] = 0
-    assert vehicle.crashed
-    world.driver[2] = OFF
-    assert vehicle not in env.road.vehicles
-
-
-def test_slowing_the_ego_by_hand_slows_the_ego():
-    env = CADEnv()
-    env.reset(seed=0)
-    before = env.vehicle.position.copy()
-    env.vehicle.speed = 0.0
-    env.step(BRAKE)
-    assert np.linalg.norm(env.vehicle.position - before) < 0.05
-
-
-def test_vehicles_of_a_scene_cannot_be_replaced():
-    env = CADEnv()
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="drawn by its scenario"):
-        env.road.vehicles = env.road.vehicles[:2]
-
-
-def test_pictures_show_the_scene():
-    env = CADEnv(render_mode="rgb_array")
-    env.reset(seed=0)
-    first = env.render()
-    assert first.shape == (720, 720, 3)
-    assert first.dtype == np.uint8
-    assert first.std() > 5.0
-    for _ in range(10):
-        env.step(GO)
-    assert (env.render() != first).any()
-    env.close()
-    env.reset(seed=0)
-    assert (env.render() == first).all()
-    env.close()
-
-
-def test_north_is_up_in_pictures():
-    config = {"screen_width": 400, "screen_height": 400, "scaling": 2.0}
-    env = CADEnv(render_mode="rgb_array", config=config, layers=())
-    env.reset(seed=0)
-    # The ego comes from the south of the junction, which is in the middle of the picture: it must be below.
-    env.simulation.world.driver[2:] = OFF
-    green = (np.abs(env.render().astype(int) - (50, 200, 0)) < 20).all(axis=-1)
-    rows = np.flatnonzero(green.any(axis=1))
-    env.close()
-    assert len(rows) > 0
-    assert rows.mean() > 200
-
-
-def test_without_a_render_mode_nothing_is_drawn():
-    env = gym.make("CADLeftTurn-v0")
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="without specifying any render mode"):
-        assert env.unwrapped.render() is None
-
-
 def test_object_lists_are_what_each_vehicle_tracks_itself():
     env = CADEnv(sensor={"noise": 0.0, "miss": 0.0})
     env.reset(seed=1)
@@ -286,82 +200,6 @@ def test_a_step_after_the_end_is_refused():
 def test_a_step_before_the_first_reset_is_refused():
     with pytest.raises(gym.error.ResetNeeded):
         gym.make("CADLeftTurn-v0").step(GO)
-
-
-WRONG = [
-    ({"radoi": "dsrc"}, "unknown option radoi='dsrc': choose among"),
-    ({"config": {"radoi": "dsrc"}}, "unknown setting radoi='dsrc': choose among"),
-    ({"config": {"duration": 10}}, "unknown setting duration=10"),
-    ({"config": {"policy_frequency": 5}}, "policy_frequency is 10 in this environment, got 5"),
-    ({"config": {"observation": {"type": "Kinematics"}}}, "observation is {'type': 'SpatiotemporalGraph'}"),
-    ({"radio": "5g"}, "unknown radio '5g': choose one of none, ideal, dsrc, cv2x or give a RadioConfig"),
-    ({"radio": {"rat": 1.0}}, "unknown radio setting rat=1.0: choose among delay, loss, range, rate"),
-    ({"radio": {"loss": 2.0}}, "radio loss must be a number from 0 to 1, got 2.0"),
-    ({"radio": 5}, "unknown radio 5"),
-    ({"radio": None}, "unknown radio None"),
-    ({"radio": ["dsrc"]}, "unknown radio ['dsrc']"),
-    ({"sensor": {"rnage": 1.0}}, "unknown sensor setting rnage=1.0: choose among gnss_noise, gnss_yaw_noise"),
-    ({"sensor": {"miss": -0.1}}, "sensor miss must be a number from 0 to 1, got -0.1"),
-    ({"sensor": 80.0}, "sensor must be a SensorConfig or a dict of its settings, got 80.0"),
-    ({"ranges": {"ego_sped": 1}}, "unknown left_turn range ego_sped=1: choose among"),
-    ({"traffic": "heavy"}, "traffic must be one of none, light, dense, got 'heavy'"),
-    ({"penetration": 2}, "penetration must be a number from 0 to 1, got 2"),
-    ({"depth": 0}, "depth must be a number from 1 to 15, got 0"),
-    ({"depth": 16}, "depth must be a number from 1 to 15, got 16"),
-    ({"depth": 2.5}, "depth must be a whole number, got 2.5"),
-    ({"depth": "15"}, "depth must be a number from 1 to 15, got '15'"),
-    ({"scenario": "right_turn"}, "unknown scenario 'right_turn': choose among left_turn"),
-    ({"scenario": ["left_turn"]}, "unknown scenario ['left_turn']"),
-    ({"render_mode": "ascii"}, "unknown render_mode 'ascii': choose one of human, rgb_array"),
-]
-
-
-@pytest.mark.parametrize(("options", "complaint"), WRONG)
-def test_a_wrong_option_is_refused_by_name_value_and_choices(options: dict, complaint: str):
-    with pytest.raises(ValueError, match=re.escape(complaint)) as refusal:
-        CADEnv(**options)
-    assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize(("options", "complaint"), WRONG[:1] + WRONG[5:8])
-def test_gym_make_passes_the_refusal_on(options: dict, complaint: str):
-    with pytest.raises(ValueError, match=re.escape(complaint)):
-        gym.make("CADLeftTurn-v0", **options)
-
-
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ({"hazrad": True}, "unknown reset option hazrad=True: choose among config, hazard"),
-        ({"hazard": 1}, "hazard must be True, False or None, got 1"),
-        ({"config": {"radoi": 1}}, "unknown setting radoi=1"),
-    ],
-)
-def test_a_wrong_reset_option_is_refused(options: dict, complaint: str):
-    with pytest.raises(ValueError, match=re.escape(complaint)):
-        CADEnv().reset(seed=0, options=options)
-
-
-@pytest.mark.parametrize(
-    ("options", "same"),
-    [
-        ({"radio": RADIO_PRESETS["dsrc"]}, {}),
-        ({"radio": {"rate": 7.2e6}}, {"radio": "cv2x"}),
-        ({"sensor": {"noise": 1.0}}, {"sensor": SensorConfig(noise=1.0)}),
-        ({"config": {"radio": "none", "depth": 3}}, {"radio": "none", "depth": 3}),
-        ({"config": None}, {}),
-    ],
-)
-def test_one_setting_has_several_spellings(options: dict, same: dict):
-    assert CADEnv(**options).simulation.setup == CADEnv(**same).simulation.setup
-
-
-def test_a_reset_can_change_settings():
-    env = CADEnv()
-    env.reset(seed=0, options={"config": {"radio": "none"}})
-    *_, info = env.step(GO)
-    assert info["bytes_sent"] == 0
-    assert env.config["radio"] == "none"
 
 
 def test_object_lists_are_in_info_when_asked_for():

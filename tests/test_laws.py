@@ -1,23 +1,13 @@
-"""The laws that every change keeps. Law 3 is in test_sense.py, law 4 for messages in test_merge.py, law 5 in
-test_codec.py; here are the others, and what laws 4 and 5 say of whole episodes."""
-
-import json
-import math
-import os
-import subprocess
-import sys
-from collections.abc import Iterator
-from dataclasses import fields, replace
-from pathlib import Path
+"""Laws 1 and 2, and what 4 and 5 say of whole episodes. Law 3 is in test_sense.py, 4 for messages in test_merge.py,
+5 in test_codec.py, 6 and 8 in test_laws_world.py, 7 and 9 in test_laws_seed.py. Every change keeps them all."""
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import Steady, Twitchy, digest, started, steps, whole_episode
+from scenes import started, steps, whole_episode
 
 from cad_env.config import RadioConfig, radio_config
-from cad_env.env import CADEnv
 from cad_env.live import Board, play
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import decode, read
@@ -26,15 +16,11 @@ from cad_env.pipeline.observe import as_observation
 from cad_env.pipeline.radio import ACCEPTED, OVER_BUDGET, link_of
 from cad_env.pipeline.step import ALL, OTHERS, Fleet, new_fleet
 from cad_env.pipeline.track import BIRTH_HITS
-from cad_env.rollout import Episode, rollout, rollouts
 from cad_env.rows import as_graph, empty_rows
 from cad_env.scenarios import SCENARIOS
 from cad_env.scenarios.ranges import DENSITIES
-from cad_env.scenarios.scene import HIDDEN
-from cad_env.simulation import Simulation, setup_from
-from cad_env.types import BRAKE, FRAMES, GO, MERGED_ROWS, TRUCK, Rows
-from cad_env.vector import CADVectorEnv
-from cad_env.world.state import OFF, SCRIPTED
+from cad_env.types import BRAKE, FRAMES, GO, MERGED_ROWS, Rows
+from cad_env.world.state import OFF
 
 seeds = st.integers(0, 2**31 - 1)
 EVERYWHERE = pytest.mark.parametrize(
@@ -199,224 +185,3 @@ def test_law_5_a_tight_budget_lets_short_messages_pass_and_refuses_long_ones():
     simulation = started(0, radio=RadioConfig(rate=16_000.0, loss=0.0))  # 200 bytes
     answers = [simulation.fleet.report.refusal.copy() for _ in steps(simulation, 40)]
     assert {int(answer) for answer in np.ravel(answers)} == {ACCEPTED, OVER_BUDGET}
-
-
-# --- 6. The world has no preferred place or direction ----------------------------------------------------------
-
-
-def moved(simulation: Simulation, dx: float, dy: float, angle: float) -> None:
-    """Turn the map of a simulation about its origin and shift it; the next start places everybody on it."""
-    routes = simulation.map.routes
-    cos, sin = math.cos(angle), math.sin(angle)
-    point = routes.point @ np.array([[cos, sin], [-sin, cos]]) + [dx, dy]
-    simulation.map = replace(simulation.map, routes=routes._replace(point=point, heading=routes.heading + angle))
-
-
-def two_worlds(seed: int, dx: float, dy: float, angle: float, options: dict) -> Iterator[tuple[dict, dict]]:
-    """What the ego sees in a world and in the same one elsewhere, step by step."""
-    here, there = Simulation(setup_from(options)), Simulation(setup_from(options))
-    moved(there, dx, dy, angle)
-    here.start(seed)
-    there.start(seed)
-    for _ in zip(steps(here), steps(there), strict=True):
-        yield here.observation(0), there.observation(0)
-    assert here.outcome() == there.outcome() is not None
-
-
-shifts, angles = st.floats(-2000.0, 2000.0), st.floats(-7.0, 7.0)
-
-
-@EVERYWHERE
-@settings(max_examples=2)
-@given(seeds, shifts, shifts, angles)
-def test_law_6_shifting_and_turning_the_world_changes_no_observation(where: dict, seed, dx, dy, angle):
-    # Sensor noise is drawn along the axes of the world, so it is off; misses are not.
-    for one, other in two_worlds(seed, dx, dy, angle, {**where, "sensor": {"noise": 0.0}, "radio": "none"}):
-        for name in one:
-            np.testing.assert_allclose(one[name], other[name], rtol=0.0, atol=3e-5, err_msg=name)  # float32 at 200 m
-
-
-@EVERYWHERE
-@settings(max_examples=2)
-@given(seeds, shifts, shifts, angles)
-def test_law_6_what_is_shared_moves_by_no_more_than_the_centimetre_of_a_message(where: dict, seed, dx, dy, angle):
-    # Positions on the air are whole centimetres along the axes of the world, so ties between tracks that are equally
-    # near, or fit equally well, may fall otherwise; but the same nodes are known.
-    for one, other in two_worlds(seed, dx, dy, angle, {**where, "sensor": {"noise": 0.0}, "radio": "dsrc"}):
-        for name in set(one) - {"tracks", "mask", "kind"}:
-            np.testing.assert_allclose(one[name], other[name], rtol=0.0, atol=3e-5, err_msg=name)
-        for t in range(FRAMES):
-            here, there = (seen["tracks"][seen["mask"][:, t] == 1, t] for seen in (one, other))
-            apart = np.linalg.norm(here[:, None] - there[None], axis=-1)
-            assert len(here) == len(there) == 0 or max(apart.min(axis=0).max(), apart.min(axis=1).max()) < 0.02
-
-
-@EVERYWHERE
-@settings(max_examples=2)
-@given(seeds, st.integers(-1000, 1000), st.integers(-1000, 1000))
-def test_law_6_shifting_the_world_changes_no_observation_with_all_its_noise(where: dict, seed, dx, dy):
-    for one, other in two_worlds(seed, dx, dy, 0.0, {**where, "sensor": {"gnss_noise": 0.5}}):
-        for name in one:
-            np.testing.assert_allclose(one[name], other[name], rtol=0.0, atol=3e-5, err_msg=name)
-
-
-# --- 7. Named streams ------------------------------------------------------------------------------------------
-
-OTHER_SETUPS = [
-    {"sensor": {"noise": 3.0, "miss": 0.5, "gnss_noise": 5.0, "gnss_yaw_noise": 0.5, "range": 20.0}},
-    {"radio": "none"},
-    {"radio": {"loss": 0.9, "delay": 1.0}},
-    {"depth": 1},
-]
-
-
-@EVERYWHERE
-@settings(max_examples=5)
-@given(seeds, st.sampled_from(OTHER_SETUPS))
-def test_law_7_noise_and_radio_do_not_move_the_traffic(where: dict, seed: int, options: dict):
-    usual, other = started(seed, **where), started(seed, **where, **options)
-    assert usual.scene == other.scene
-    for name, one, two in zip(usual.world._fields, usual.world, other.world, strict=True):
-        assert one.tobytes() == two.tobytes(), name
-
-
-@EVERYWHERE
-@settings(max_examples=2)
-@given(seeds)
-def test_law_7_the_radio_does_not_move_what_the_sensors_report(where: dict, seed: int):
-    radios = ("dsrc", "none", RadioConfig(loss=0.9, delay=0.3))
-    simulations = [started(seed, **where, radio=radio) for radio in radios]
-    for _ in zip(*(steps(simulation, 40) for simulation in simulations), strict=True):
-        for agent in range(len(simulations[0].agents)):
-            graphs = [simulation.own_graph(agent) for simulation in simulations]
-            assert len({graph.position.tobytes() + graph.mask.tobytes() for graph in graphs}) == 1
-
-
-@EVERYWHERE
-@settings(max_examples=2)
-@given(seeds)
-def test_law_7_another_policy_meets_the_same_traffic(where: dict, seed: int):
-    drawn = []
-    env = CADEnv(**where)
-    for policy in (Steady(GO), Steady(BRAKE), Twitchy()):
-        rollout(env, policy, seed)
-        env.reset(seed=seed)
-        drawn.append(b"".join(part.tobytes() for part in env.simulation.world))
-    assert len(set(drawn)) == 1
-
-
-# --- 8. No policy sees what nobody sees ------------------------------------------------------------------------
-
-
-def hidden_rows(simulation: Simulation) -> list[int]:
-    """Vehicles that no connected vehicle has a line of sight to now, and that are not connected themselves."""
-    seen = simulation.fleet.visible.any(axis=0)
-    seen[simulation.agents] = True
-    return [int(row) for row in np.flatnonzero(~seen & (simulation.world.driver != OFF))]
-
-
-# Where there is little traffic most changes come into view, and are not counted.
-@EVERYWHERE
-@settings(max_examples=5, suppress_health_check=[HealthCheck.filter_too_much])
-@given(seeds, st.integers(0, 40), st.floats(-3.0, 3.0), st.floats(0.0, 25.0))
-def test_law_8_changing_what_nobody_sees_changes_no_observation(
-    where: dict, seed: int, when: int, shift: float, speed: float
-):
-    usual, changed = started(seed, hazard=True, **where), started(seed, hazard=True, **where)
-    for _ in zip(steps(usual, when), steps(changed, when), strict=True):
-        pass
-    rows = hidden_rows(usual)
-    assume(rows)
-    assert rows == hidden_rows(changed)
-    world = changed.world
-    for row in rows:
-        world.speed[row] = world.target_speed[row] = speed
-        world.kind[row], world.driver[row] = TRUCK, SCRIPTED
-        world.stop_at[row], world.acceleration[row] = 50.0, -3.0
-        along = world.heading[row]
-        world.position[row] += shift * math.cos(along), shift * math.sin(along)
-    for simulation in (usual, changed):
-        simulation._perceive()  # the same instant once more, and once more with the change
-    assume((usual.fleet.visible == changed.fleet.visible).all())  # it has not come into view, nor before another
-    for agent in range(len(usual.agents)):
-        assert differences(usual.observation(agent), changed.observation(agent)) == []
-        assert usual.own_graph(agent).position.tobytes() == changed.own_graph(agent).position.tobytes()
-
-
-def test_law_8_has_something_to_hide():
-    # Otherwise the law above would be about nothing: hidden vehicles are common, and among them is the hazard.
-    hidden = [hidden_rows(started(seed, hazard=True)) for seed in range(30)]
-    assert sum(len(rows) > 0 for rows in hidden) >= 15
-    assert sum(HIDDEN in rows for rows in hidden) >= 10
-
-
-@EVERYWHERE
-@settings(max_examples=2)
-@given(seeds)
-def test_law_8_whether_a_hazard_is_coming_does_not_show_before_it_is_seen(where: dict, seed: int):
-    coming, clear = started(seed, hazard=True, **where), started(seed, hazard=False, **where)
-    for _ in zip(steps(coming, 60), steps(clear, 60), strict=True):
-        if coming.fleet.visible.tobytes() != clear.fleet.visible.tobytes() or coming.fleet.visible[:, HIDDEN].any():
-            break
-        assert differences(coming.observation(0), clear.observation(0)) == []
-
-
-# --- 9. One seed, one episode ----------------------------------------------------------------------------------
-
-
-@EVERYWHERE
-@settings(max_examples=1)
-@given(seeds)
-def test_law_9_the_same_seed_gives_the_same_episode_twice(where: dict, seed: int):
-    assert digest(seed, **where) == digest(seed, **where) != digest(seed + 1, **where)
-
-
-def test_law_9_a_fresh_process_gives_the_same_episode():
-    program = "import json, scenes; print(json.dumps([scenes.digest(seed) for seed in (1, 2)]))"
-    env = {**os.environ, "PYTHONHASHSEED": "77"}
-    here = Path(__file__).parent
-    answer = subprocess.run(
-        [sys.executable, "-c", program], cwd=here, env=env, capture_output=True, text=True, check=True
-    )
-    assert json.loads(answer.stdout) == [digest(1), digest(2)]
-
-
-def facts(episode: Episode) -> list:
-    """Everything an episode holds, comparable."""
-    values = [getattr(episode, field.name) for field in fields(episode)]
-    return [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
-
-
-def test_law_9_side_by_side_is_as_alone():
-    numbers, seen = range(100, 113), {"alone": {}, "together": {}}
-
-    def watch(how: str):
-        def note(where: CADEnv | Simulation, observation: dict, action: int) -> None:
-            simulation = where if isinstance(where, Simulation) else where.simulation
-            parts = b"".join(observation[name].tobytes() for name in sorted(observation))
-            seen[how].setdefault(simulation.seed, []).append((parts, action))
-
-        return note
-
-    alone = [rollout(CADEnv(), Twitchy(), number, watch=watch("alone")) for number in numbers]
-    envs = CADVectorEnv(8)
-    together = list(rollouts(envs, Twitchy(), numbers, watch=watch("together")))
-    assert len(together) == len(alone)
-    assert [episode.seed for episode in together] != list(numbers)  # they end in another order, and yet
-    assert [facts(e) for e in sorted(together, key=lambda e: e.seed)] == [facts(e) for e in alone]
-    assert seen["together"] == seen["alone"]
-
-
-def test_law_9_an_episode_does_not_depend_on_those_before_it():
-    env, fresh = CADEnv(), CADEnv()
-    for seed in (5, 6, 7):
-        rollout(env, Twitchy(), seed)
-    assert facts(rollout(env, Twitchy(), 8)) == facts(rollout(fresh, Twitchy(), 8))
-
-
-@pytest.mark.slow
-def test_law_9_holds_for_many_seeds():
-    envs = CADVectorEnv(64)
-    together = {e.seed: facts(e) for e in rollouts(envs, Twitchy(), range(500))}
-    env = CADEnv()
-    assert all(facts(rollout(env, Twitchy(), seed)) == together[seed] for seed in range(500))

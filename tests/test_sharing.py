@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scenes import Twitchy, digest, started, steps, whole_episode
-from test_laws import differences, facts, hidden_rows, two_worlds
+from test_laws import differences
+from test_laws_seed import facts
+from test_laws_world import hidden_rows, two_worlds
 from test_vector import driven, same, twitch
 
 from cad_env.cloud import CloudConfig

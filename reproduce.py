@@ -1,6 +1,7 @@
 """Make every table and plot of the paper's comparison: record, train all rows, score them, sweep, write the report.
 
 python reproduce.py --preset quick                     all rows, one training seed, few episodes: under 45 minutes
+python reproduce.py --preset hour                      the same with more of everything, about an hour
 python reproduce.py --preset full --jobs 2             three training seeds, 500 episodes: overnight on two cores
 python reproduce.py --preset full --shard 2/8          one of eight parts, on machines that share the folder --out
 python reproduce.py --preset full --merge              puts together what the shards have finished
@@ -42,7 +43,7 @@ Failure = tuple[str, str]  # what failed, and why, in one line
 class ReproduceSettings:
     """Train and score every row of the paper's tables, and write results.md, results.json and plots."""
 
-    preset: str = "quick"  # quick or full: how many seeds, steps and episodes (baselines/presets.py)
+    preset: str = "quick"  # quick, hour or full: how many seeds, steps and episodes (baselines/presets.py)
     out: Path = Path("runs/paper")  # folder of everything
     jobs: int = 2  # processes
     shard: str | None = None  # i/n: only the i-th of n parts; the last step is a run without it, or with --merge

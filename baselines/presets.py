@@ -38,6 +38,10 @@ class Preset:
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "quick": Preset(
+            seeds=(0,), episodes=160, corrections=1, corrected_episodes=60, steps=1200, validation=12, open_loop=30,
+            scored=100, swept=16, sweep_points=ENDS, ppo_steps=60_000,
+        ),
+        "hour": Preset(
             seeds=(0,), episodes=240, corrections=2, corrected_episodes=60, steps=1500, validation=18, open_loop=40,
             scored=150, swept=24, sweep_points=ENDS, ppo_steps=60_000,
         ),

@@ -88,7 +88,7 @@ def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--preset", "quikc"], "preset must be one of quick, full, got 'quikc'"),
+        (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'"),
         (["--row", "gta"], "unknown row 'gta'"),
         (["--shard", "3/2"], "shard must be i/n"),
         (["--shard", "1/2", "--merge"], "leave out --shard"),

@@ -1,9 +1,14 @@
-"""What the networks of points cost: ms a sample on one thread, and the bytes of their messages as encoded."""
+"""What the networks of points cost: ms a sample on one thread, and the bytes of their messages as encoded.
+
+python benchmarks/points.py --json runs/paper/costs.json      the table, and the same for the report of reproduce.py
+"""
 
 import argparse
+import json
 import statistics
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -17,6 +22,7 @@ from cad_env.types import Floats
 from policies.family import Family
 
 RAYS = 1024 * 64
+Row = dict[str, str | int | float]
 ROW = "{:46} {:>6} {:>9} {:>9} {:>9} {:>10}"
 
 
@@ -77,43 +83,53 @@ def _ms(work: Callable[[], None], repeats: int) -> float:
     return statistics.median(times)
 
 
-def _of_points(name: str, config: PointTransformerConfig, points: int, batch: int, repeats: int) -> None:
+def _of_points(name: str, config: PointTransformerConfig, points: int, batch: int, repeats: int) -> Row:
     network = PointTransformerNet(config)
     cost = _cost(POINT_TRANSFORMER, network, merged(points, batch), repeats)
-    _tell(f"Point Transformer, {name}, {points} points", network, cost, len(_raw()))
+    return _tell(f"Point Transformer, {name}, {points} points", network, cost, len(_raw()))
 
 
-def _of_features(name: str, config: CompressedConfig, points: int, vehicles: int, batch: int, repeats: int) -> None:
+def _of_features(name: str, config: CompressedConfig, points: int, vehicles: int, batch: int, repeats: int) -> Row:
     network = CompressedNet(config)
     cost = _cost(COMPRESSED, network, of_vehicles(points, vehicles, batch), repeats)
     sent = LearnedFeatures(network).encode([a_cloud(np.random.default_rng(1), 4 * points)])[0]
-    _tell(f"compressed, {name}, {points} x {vehicles} vehicles", network, cost, len(sent))
+    return _tell(f"compressed, {name}, {points} x {vehicles} vehicles", network, cost, len(sent))
 
 
 def _raw() -> bytes:
     return RawPoints().encode([a_cloud(np.random.default_rng(1), RAYS)])[0]
 
 
-def _tell(what: str, network: nn.Module, cost: tuple[float, float], sent: int) -> None:
+def _tell(what: str, network: nn.Module, cost: tuple[float, float], sent: int) -> Row:
     weights = sum(value.numel() for value in network.parameters())
     print(ROW.format(what, f"{weights / 1e3:.0f}k", f"{cost[0]:.2f}", f"{cost[1]:.2f}", f"{6e4 / cost[1]:,.0f}",
                      f"{sent:,}"), flush=True)  # fmt: skip
+    return {
+        "network": what, "weights": weights, "forward, ms a sample": round(cost[0], 2),
+        "forward and backward, ms a sample": round(cost[1], 2), "bytes of a message": sent,
+    }  # fmt: skip
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Print the table, and write it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
-    repeats = parser.parse_args().repeats
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
     torch.set_num_threads(1)
     print(ROW.format("network, full clouds", "size", "fwd ms", "train ms", "train/min", "bytes"))
-    small, large = PointTransformerConfig(), point_transformer.PAPER_SIZE
-    for points in (128, 256, 512):
-        _of_points("CPU size", small, points, 32, repeats)
-    _of_points("paper size", large, 4096, 1, repeats)
-    for points, vehicles in ((64, 4), (128, 3), (128, 5)):
-        _of_features("CPU size", CompressedConfig(), points, vehicles, 32, repeats)
-    _of_features("paper size", compressed.PAPER_SIZE, 2048, 4, 1, repeats)
+    small, repeats = PointTransformerConfig(), asked.repeats
+    rows = [
+        *(_of_points("CPU size", small, points, 32, repeats) for points in (128, 256, 512)),
+        _of_points("paper size", point_transformer.PAPER_SIZE, 4096, 1, repeats),
+        *(
+            _of_features("CPU size", CompressedConfig(), points, vehicles, 32, repeats)
+            for points, vehicles in ((64, 4), (128, 3), (128, 5))
+        ),
+        _of_features("paper size", compressed.PAPER_SIZE, 2048, 4, 1, repeats),
+    ]
+    if asked.json is not None:
+        asked.json.write_text(json.dumps(rows, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -54,11 +54,9 @@ def _driving(rows: Rows) -> Iterator[tuple[str, str, bool]]:
 
 
 def _sizes(rows: Sequence[ClosedRow], scores: Mapping[str, OpenScore]) -> Iterator[tuple[str, str, bool]]:
-    """Over whatever radio carries them: a message above its budget is refused and has no size there."""
-    size = {name: score.bytes_per_message for name, score in scores.items() if score.bytes_per_message}
-    for row in reversed(rows):
-        if row.bytes_per_message:
-            size[row.contender] = row.bytes_per_message
+    """As encoded on held-out episodes over a radio that carries them; of rows without these, as sent in driving."""
+    size = {row.contender: row.bytes_per_message for row in reversed(rows) if row.bytes_per_message}
+    size |= {name: score.bytes_per_message for name, score in scores.items() if score.bytes_per_message}
     if OURS not in size:
         return
     yield "mean message at most 600 B", f"{number(size[OURS])} B", size[OURS] <= 600

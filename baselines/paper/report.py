@@ -178,8 +178,8 @@ def _robustness(images: Path, run: Run, findings: Findings) -> str:
     swept = {name: scenes for name, scenes in findings.sweeps.items() if name not in SIZES}
     if swept:
         lines.append(
-            "Success with its Wilson band, collisions dashed. A row is swept over `dsrc`, or over `ideal` if no "
-            "message of its own fits into the former."
+            "Success with its Wilson band, collisions dashed. A row is swept over the radio that it learned over: "
+            "`dsrc`, and `cv2x` for compressed, whose messages do not fit into the former."
         )
     for name, scenes in swept.items():
         robustness_plot(images / f"sweep_{name}.png", name, scenes)

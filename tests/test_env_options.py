@@ -16,7 +16,7 @@ WRONG = [
     ({"config": {"policy_frequency": 5}}, "policy_frequency is 10 in this environment, got 5"),
     ({"config": {"observation": {"type": "Kinematics"}}}, "observation is {'type': 'SpatiotemporalGraph'}"),
     ({"radio": "5g"}, "unknown radio '5g': choose one of none, ideal, dsrc, cv2x or give a RadioConfig"),
-    ({"radio": {"rat": 1.0}}, "unknown radio setting rat=1.0: choose among delay, loss, range, rate"),
+    ({"radio": {"rat": 1.0}}, "unknown radio setting rat=1.0: choose among burst, delay, loss, range, rate"),
     ({"radio": {"loss": 2.0}}, "radio loss must be a number from 0 to 1, got 2.0"),
     ({"radio": 5}, "unknown radio 5"),
     ({"radio": None}, "unknown radio None"),

@@ -208,7 +208,9 @@ def _departures(run: Run, findings: Findings) -> str:
 
 
 def _costs(run: Run) -> str:
-    return "## What the networks cost\n\n" + (tables.cost_table(run.costs) or _missing("measurement of costs"))
+    table, made = tables.cost_table(run.costs), "`python benchmarks/points.py --json costs.json`"
+    said = f"Full clouds, one thread: {made}, written into the folder of a run.\n\n{table}"
+    return "## What the networks cost\n\n" + (said if table else _missing("measurement of costs"))
 
 
 def _open_loop(findings: Findings) -> str:

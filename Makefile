@@ -2,7 +2,7 @@
 VENV ?= .venv
 RUN := $(VENV)/bin
 
-.PHONY: install test slow lint format types train evaluate bench weights
+.PHONY: install test slow lint format types train evaluate paper bench weights
 
 install:
 	python3 -m venv $(VENV)
@@ -31,6 +31,9 @@ train:
 
 evaluate:
 	$(RUN)/python evaluate.py
+
+paper:
+	$(RUN)/python reproduce.py
 
 bench:
 	$(RUN)/python benchmarks/speed.py

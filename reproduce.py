@@ -1,23 +1,20 @@
 """Make every table and plot of the paper's comparison: record, train all rows, score them, sweep, write the report.
 
-python reproduce.py --preset quick                     all rows, one training seed, few episodes: under 45 minutes
-python reproduce.py --preset hour                      the same with more of everything, about an hour
+python reproduce.py --preset quick                     all rows, one training seed, few episodes: half an hour
+python reproduce.py --preset hour                      the same with more of everything: an hour, or less
 python reproduce.py --preset full --jobs 2             three training seeds, 500 episodes: overnight on two cores
 python reproduce.py --preset full --shard 2/8          one of eight parts, on machines that share the folder --out
 python reproduce.py --preset full --merge              puts together what the shards have finished
 
 Interrupt it as you like: the same command goes on where it stopped. A row that fails does not stop the others.
 
-Minutes of quick, on two cores, by what an episode and a step of each kind of row cost:
+Minutes of hour, on two cores, as measured; quick has about six tenths of its episodes and steps:
 
-    compile, record the expert                1
-    train the rows of points                 14
-    train the rows of graphs                  6
-    PPO                                       1
-    closed loop                               6
-    open loop                                 2
-    sweeps                                    4
-    tables and plots                          1
+    record the expert                        under 1
+    train the rows of points                 24
+    train the rows of graphs, and PPO        15
+    closed loop, open loop and sweeps         8
+    tables and plots                         under 1
 """
 
 import json

@@ -1,6 +1,6 @@
 """Make every table and plot of the paper's comparison: record, train all rows, score them, sweep, write the report.
 
-python reproduce.py --preset quick                     all rows, one training seed, few episodes: half an hour
+python reproduce.py --preset quick                     all rows, one training seed, few episodes: a first look
 python reproduce.py --preset hour                      the same with more of everything: an hour, or less
 python reproduce.py --preset full --jobs 2             three training seeds, 500 episodes: overnight on two cores
 python reproduce.py --preset full --shard 2/8          one of eight parts, on machines that share the folder --out

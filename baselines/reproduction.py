@@ -15,7 +15,7 @@ from baselines.courses import Budget, Lesson, course_of, learn
 from baselines.grid import shard_of
 from baselines.paper.folder import ROWS as TABLE
 from baselines.paper.open_loop import FIRST_SEED, measure, open_path, write_open_loop
-from baselines.paper.sweeps import SWEEPS, SweepPoint
+from baselines.paper.sweeps import SweepPoint, points
 from baselines.presets import ENDS, Preset
 from baselines.rows import ROWS
 from baselines.settings import Settings
@@ -122,11 +122,7 @@ def measuring(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
 
 def swept(preset: Preset) -> list[SweepPoint]:
     """The points of all sweeps that a preset asks for."""
-    return [
-        point
-        for sweep in SWEEPS.values()
-        for point in (sweep.points[:: len(sweep.points) - 1] if preset.sweep_points == ENDS else sweep.points)
-    ]
+    return list(points(preset.sweep_points == ENDS))
 
 
 def _is_large(row: str) -> bool:

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from cad_env.config import check_range
 from cad_env.simulation import Simulation
 from cad_env.types import Command, Floats, Ints, Observation
+from policies.driver import ThresholdDriver
 
 
 @dataclass(frozen=True)
@@ -70,30 +71,16 @@ class CommandFrames:
         )
 
 
-class CommandDriver:
+class CommandDriver(ThresholdDriver):
     """Brakes for the commands of which the network is sure enough; the same alone and in any batch."""
 
-    privileged = False
-
     def __init__(self, network: nn.Module, threshold: float) -> None:
-        check_range("threshold", threshold, 0.0, 1.0)
-        self.threshold = threshold
+        super().__init__(("command",), threshold)
         with torch.no_grad():
             logits = network(torch.eye(len(Command)))
         self._brake: Floats = torch.softmax(logits.double(), dim=1)[:, 1].numpy()  # (6,) by command
 
-    def reset(self, seed: int) -> None:
-        """Nothing to forget and nothing to draw."""
-
-    def act(self, observation: Observation) -> int:
-        """GO or BRAKE for one observation."""
-        return int(self.act_batch({"command": observation["command"][None]})[0])
-
-    def act_batch(self, observations: Mapping[str, NDArray[Any]]) -> Ints:
-        """GO or BRAKE, (n,)."""
-        return (self.brake_probability(observations) >= self.threshold).astype(np.int64)
-
-    def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """P(brake), (n,)."""
         brake: Floats = self._brake[observations["command"].argmax(axis=1)]
         return brake

@@ -73,7 +73,7 @@ SWEEPS: Mapping[str, Sweep] = MappingProxyType(
 )  # fmt: skip
 
 
-def points() -> Iterator[SweepPoint]:
-    """All points of all sweeps."""
+def points(ends: bool = False) -> Iterator[SweepPoint]:
+    """All points of all sweeps, or the two ends of each."""
     for sweep in SWEEPS.values():
-        yield from sweep.points
+        yield from sweep.points[:: len(sweep.points) - 1] if ends else sweep.points

@@ -120,6 +120,7 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     mine = of.units(plan, shard)
     trainings = [task for unit in mine for task in of.training(plan, unit)]
     measurings = [task for unit in mine for task in of.measuring(plan, unit)]
+    measurings.sort(key=lambda task: task.stage == "sweep")  # last: they begin with what the others have driven
     recording = float(plan.preset.episodes * len(plan.scenarios))
     total = recording + sum(of.work_of(plan, task) for task in trainings + measurings)
     failures: list[Failure] = []

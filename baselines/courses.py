@@ -1,7 +1,6 @@
 """From a row of the table and what a run may cost to a course, and what its folder is for."""
 
 import json
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -54,12 +53,13 @@ def course_of(row: Row, seed: int, budget: Budget, knobs: Mapping[str, Any] | No
 
     radio = "none" if row.shares == "nothing" else row.radio or budget.radio
     network = family_named(row.family).config_type(**{**row.config, **(knobs or {})})
+    validation = budget.validation if row.most_validated is None else min(budget.validation, row.most_validated)
     return Course(
         scenarios=budget.scenarios, radio=radio, depth=row.depth, seed=seed, episodes=budget.episodes,
         corrections=budget.corrections if row.corrections is None else row.corrections,
         corrected_episodes=budget.corrected_episodes, mixing=budget.mixing,
-        steps=max(round(row.pace * budget.steps), 3), validation=budget.validation,
-        final_validation=budget.validation * 5 // 3, family=row.family, network=network, recipe=Recipe(**row.recipe),
+        steps=max(round(row.pace * budget.steps), 3), validation=validation, final_validation=validation * 5 // 3,
+        family=row.family, network=network, recipe=Recipe(**row.recipe),
     )  # fmt: skip
 
 
@@ -95,31 +95,4 @@ def learn(lesson: Lesson, course: "Course", advance: Advance) -> None:
     from policies.training import train
 
     claim(lesson.folder, course)
-    if row_named(lesson.row).begins_as:
-        _begin_as(lesson, course)
     train(course, lesson.folder, advance, family_named, lesson.recordings)
-
-
-def _begin_as(lesson: Lesson, course: "Course") -> None:
-    """Take over the first round of a row that begins the same way, as far as that has come.
-
-    Its checkpoints and their validation are what this course would make, to the last bit.
-    """
-    from policies.metrics import Log
-    from policies.training import checkpoint
-
-    other = lesson.models / row_named(row_named(lesson.row).begins_as).model
-    if not (other / COURSE).exists() or not (other / "metrics.csv").exists():
-        return
-    if {**_read(other / COURSE), "corrections": course.corrections} != _read(lesson.folder / COURSE):
-        return
-    theirs, ours = Log(other / "metrics.csv"), Log(lesson.folder / "metrics.csv")
-    for segment in range(course.segments):
-        there, here = checkpoint(other, 0, segment), checkpoint(lesson.folder, 0, segment)
-        rows = theirs.of(0, segment)
-        if here.exists() or not there.exists() or len(rows) != len(course.scenarios):
-            continue
-        here.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(there, here.with_suffix(".part"))
-        here.with_suffix(".part").replace(here)
-        ours.replace(0, segment, [{name: row[name] for name in Log.COLUMNS[2:]} for row in rows])

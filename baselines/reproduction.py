@@ -12,13 +12,15 @@ from types import MappingProxyType
 
 from baselines.contenders import CONTENDERS, contender_named
 from baselines.courses import Budget, Lesson, course_of, learn
-from baselines.grid import shard_of
+from baselines.grid import Key, shard_of
 from baselines.paper.folder import ROWS as TABLE
 from baselines.paper.open_loop import FIRST_SEED, measure, open_path, write_open_loop
 from baselines.paper.sweeps import SweepPoint, points
 from baselines.presets import ENDS, Preset
 from baselines.rows import ROWS
 from baselines.settings import Settings
+from baselines.store import EPISODES, difference, key_of, read_records, read_settings
+from cad_env.score import Record
 
 RADIO = "dsrc"
 SPARE = "ideal"  # what rows are scored over as well whose messages are too large for the other
@@ -97,8 +99,7 @@ def _price(name: str) -> int:
     row = ROWS.get(name)
     if row is None:
         return 3 if contender_named(name).model else 0
-    # A row that begins as another comes later, when there is something to begin with.
-    return 4 if row.shares in LARGE else 2 if row.begins_as else 3
+    return 4 if row.shares in LARGE else 3
 
 
 def training(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
@@ -193,8 +194,27 @@ def _score(plan: Plan, task: Task, advance: Advance) -> None:
 
     settings = scoring(plan, task)
     store = opened(settings)
+    wanted = {key for part in settings.tasks() for key in part.episodes()}
+    if known := [record for record in _driven_elsewhere(plan, task) if key_of(record) in wanted - set(store.records)]:
+        store.append(known)
     advance(EPISODE * len(store.records))
     completed(settings, store, lambda episodes: advance(EPISODE * episodes))
+
+
+def _driven_elsewhere(plan: Plan, task: Task) -> list[Record]:
+    """Episodes that another part has driven with the same settings: sweeps meet where they change nothing."""
+    from baselines.scoring import identity
+
+    found: dict[Key, Record] = {}
+    for other in measuring(plan, (task.row, task.seed)):
+        if other.stage == "open" or other == task:
+            continue
+        folder = scoring(plan, other).out
+        if (folder / EPISODES).exists():
+            theirs, ours = read_settings(folder), identity(scoring(plan, task))
+            if not difference({**theirs, "episodes": ours["episodes"]}, ours):
+                found |= {key_of(record): record for record in read_records(folder)}
+    return list(found.values())
 
 
 STAGES: Mapping[str, Callable[[Plan, Task, Advance], None]] = MappingProxyType(

@@ -187,8 +187,9 @@ def _recorded(shop: _Workshop, turn: int, scenario: str) -> list[Recording]:
 
 def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
     """Fit the network to the frames so far, in segments, each validated in closed loop on every scenario."""
-    course, total = shop.course, shop.course.steps_of(turn)
-    size = total // course.segments
+    course = shop.course
+    before, total = (sum(map(course.steps_of, range(rounds))) for rounds in (turn, course.corrections + 1))
+    size = course.steps_of(turn) // course.segments
     for segment in range(course.segments):
         path = checkpoint(shop.folder, turn, segment)
         if shop.has(turn, segment):
@@ -197,7 +198,7 @@ def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
             shop.driven(course.validation * len(course.scenarios))
             continue
         rng = np.random.default_rng([course.seed, turn, segment])
-        steps = range(segment * size, (segment + 1) * size)
+        steps = range(before + segment * size, before + (segment + 1) * size)
         loss = fit(shop.family, shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance)
         save_state(path, shop.network, shop.optimiser)
         found = _validated(shop, 0.5, range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation))

@@ -9,11 +9,15 @@ import torch
 
 import reproduce
 from baselines.gathering import gather
+from baselines.grid import Task as Episodes
 from baselines.paper.report import write
 from baselines.presets import PRESETS, Preset
-from baselines.reproduction import Plan, in_table, measuring, perform, training, units
+from baselines.reproduction import Plan, Task, in_table, measuring, perform, scoring, training, units
 from baselines.rows import ROWS
+from baselines.scoring import drive
+from baselines.settings import Settings
 from baselines.store import read_records
+from cad_env.score import Record
 
 torch.set_num_threads(1)
 
@@ -76,6 +80,29 @@ def test_what_is_done_is_not_done_again_and_stands_side_by_side(plan: Plan) -> N
     assert read_records(plan.out / "closed" / "dsrc" / "0") == records
     text = write(plan.out).read_text()
     assert "command-only" in text
+
+
+def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = replace(plan, rows=("stgraph",), preset=replace(TINY, seeds=(0,)))
+    perform(plan, Task("train", "stgraph", 0), lambda work: None)
+    for what in ("dsrc", "sweeps/delay/0.5"):
+        perform(plan, Task("closed" if what == "dsrc" else "sweep", "stgraph", 0, what), lambda work: None)
+    driven: list[str] = []
+
+    def counted(settings: Settings, task: Episodes) -> list[Record]:
+        driven.append(str(settings.out))
+        return drive(settings, task)
+
+    monkeypatch.setattr("baselines.scoring.drive", counted)
+    for what in ("sweeps/delay/0.0", "sweeps/gnss/0.0", "sweeps/budget/25000", "sweeps/depth/15"):
+        perform(plan, Task("sweep", "stgraph", 0, what), lambda work: None)
+    assert not driven
+    records = [read_records(scoring(plan, Task(*task)).out) for task in (
+        ("closed", "stgraph", 0, "dsrc"), ("sweep", "stgraph", 0, "sweeps/delay/0.0"),
+    )]  # fmt: skip
+    assert records[1] == records[0][: TINY.swept]
+    perform(plan, Task("sweep", "stgraph", 0, "sweeps/gnss/1.0"), lambda work: None)
+    assert len(driven) == 1
 
 
 def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:

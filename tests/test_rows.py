@@ -8,7 +8,7 @@ import torch
 from torch.nn.functional import cross_entropy
 
 from baselines.contenders import contender_named
-from baselines.courses import Budget, Lesson, course_of, learn
+from baselines.courses import Budget, course_of
 from baselines.families import FAMILIES, family_named
 from baselines.rows import ROWS, SHARED, row_named
 from baselines.settings import Settings
@@ -16,9 +16,8 @@ from cad_env.rollout import rollouts
 from cad_env.vector import CADVectorEnv
 from policies.cloning import load_state, save_state
 from policies.family import Family, Frames
-from policies.metrics import Log
 from policies.recording import Recording, joined, record, replay
-from policies.saved import SavedModel, load_model, save_model
+from policies.saved import SavedModel, save_model
 from policies.training import Course
 
 torch.set_num_threads(1)
@@ -83,6 +82,13 @@ def test_rows_say_what_they_share_and_own_views_share_nothing() -> None:
     assert course("collab-gat")[0].depth == 1
 
 
+def test_rows_of_points_are_validated_on_few_episodes_and_a_clone_takes_all_its_steps_at_once() -> None:
+    budget = Budget(("left_turn",), "dsrc", episodes=6, corrections=2, steps=10, validation=60)
+    graph, points, clone = (course_of(row_named(name), 0, budget) for name in ("stgraph", "raw-points", "stgraph-bc"))
+    assert (graph.validation, points.validation, points.final_validation) == (60, 24, 40)
+    assert (clone.corrections, clone.steps) == (0, 20)
+
+
 def test_an_unknown_row_or_family_is_refused_with_the_choices() -> None:
     with pytest.raises(ValueError, match=r"unknown row 'gta': choose among stgraph, .*gat"):
         row_named("gta")
@@ -101,19 +107,6 @@ def test_whoever_sees_only_the_command_learns_which_one_is_dangerous() -> None:
         optimiser.step()
     seen = {"command": np.eye(6, dtype=np.int8)}
     assert family.driver(network, 0.5).act_batch(seen).tolist() == [0, 1, 0, 0, 0, 0]
-
-
-def test_a_clone_that_begins_as_the_corrected_row_is_the_one_trained_alone(tmp_path: Path) -> None:
-    def trained(models: Path, *rows: str) -> dict[str, torch.Tensor]:
-        for row in rows:
-            lesson = Lesson(row, 0, models, tmp_path / "recording")
-            learn(lesson, course_of(row_named(row), 0, BUDGET), lambda work: None)
-        return load_model(models / "stgraph-bc").network.state_dict()
-
-    alone, after = trained(tmp_path / "alone", "stgraph-bc"), trained(tmp_path / "after", "stgraph", "stgraph-bc")
-    assert all(torch.equal(value, after[name]) for name, value in alone.items())
-    logs = [Log(tmp_path / models / "stgraph-bc" / "metrics.csv").rows for models in ("alone", "after")]
-    assert logs[0] == logs[1]
 
 
 def test_a_checkpoint_of_another_row_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,6 +98,24 @@ def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames
         return torch.cat([value.flatten() for value in network.state_dict().values()])
 
     torch.testing.assert_close(weights(stop=True), weights(stop=False), rtol=0, atol=0)
+
+
+def test_the_learning_rate_falls_once_over_all_rounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates: list[float] = []
+
+    def watched(family: Any, network: Any, optimiser: torch.optim.Adam, *others: Any) -> float:
+        advance = others[-1]
+        return fit(
+            family, network, optimiser, *others[:-1],
+            lambda n: (advance(n), rates.append(optimiser.param_groups[0]["lr"])),
+        )  # fmt: skip
+
+    monkeypatch.setattr("policies.training.fit", watched)
+    train(TINY, tmp_path, lambda work: None)
+    assert len(rates) == TINY.steps_of(0) + TINY.steps_of(1) == 12
+    assert rates == sorted(rates, reverse=True)
+    assert rates[0] == pytest.approx(TINY.recipe.learning_rate)
+    assert rates[-1] < 0.05 * TINY.recipe.learning_rate
 
 
 class StoppedError(Exception):

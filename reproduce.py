@@ -112,26 +112,32 @@ def claim(plan: Any) -> None:
 
 
 def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
-    """Record, then train, then measure, with one progress bar; what failed, once for each contender and seed."""
+    """Record, then train and measure, a training seed after the other, and sweep; with one progress bar.
+
+    What failed comes back, once for each contender and seed. A run that is stopped has whole seeds to show.
+    """
     from tqdm import tqdm
 
     from baselines import reproduction as of
 
     mine = of.units(plan, shard)
-    trainings = [task for unit in mine for task in of.training(plan, unit)]
-    measurings = [task for unit in mine for task in of.measuring(plan, unit)]
-    measurings.sort(key=lambda task: task.stage == "sweep")  # last: they begin with what the others have driven
+    stages: list[tuple[str, list[Any]]] = []
+    for seed in plan.preset.seeds:
+        units = [unit for unit in mine if unit[1] == seed]
+        stages.append((f"train, seed {seed}", [task for unit in units for task in of.training(plan, unit)]))
+        stages.append((f"measure, seed {seed}", [task for unit in units for task in of.measuring(plan, unit)]))
+    sweeps = [task for _, tasks in stages for task in tasks if task.stage == "sweep"]
+    stages = [(name, [task for task in tasks if task.stage != "sweep"]) for name, tasks in stages]
     recording = float(plan.preset.episodes * len(plan.scenarios))
-    total = recording + sum(of.work_of(plan, task) for task in trainings + measurings)
+    total = recording + sum(of.work_of(plan, task) for _, tasks in [*stages, ("", sweeps)] for task in tasks)
     failures: list[Failure] = []
     with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
         lost = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
         if lost:
             return lost
-        for name, tasks in (("train", trainings), ("measure", measurings)):
+        for name, tasks in [*stages, ("sweep", sweeps)]:
             bar.set_description(name)
-            lost = _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
-            failures += lost
+            failures += _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
     _note(plan.out / FAILURES, failures)
     return [(what, why.splitlines()[-1]) for what, why in failures]
 

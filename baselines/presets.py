@@ -48,7 +48,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         ),
         "full": Preset(
             seeds=(0, 1, 2), episodes=600, corrections=2, corrected_episodes=200, steps=2400, validation=60,
-            open_loop=100, scored=500, swept=SWEPT, sweep_points=EVERY, ppo_steps=1_000_000,
+            open_loop=100, scored=500, swept=SWEPT, sweep_points=EVERY, ppo_steps=300_000,
         ),
     }
 )  # fmt: skip

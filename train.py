@@ -33,7 +33,7 @@ class TrainSettings:
     row: tuple[str, ...] = ("stgraph", "stgraph-own")  # which rows of the table (baselines/rows.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing networks are trained and scored on
-    episodes: int = 600  # of each scenario, driven by the expert
+    episodes: int = 1500  # of each scenario, driven by the expert
     corrections: int = 2  # rounds in which the network drives and the expert labels (DAgger)
     mixing: float = 0.0  # share of the decisions that the expert takes in the first of these; of the n-th: to the n
     steps: int = 2400  # optimiser steps of the first round; later rounds take half as many

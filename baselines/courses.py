@@ -27,7 +27,7 @@ class Budget:
     corrections: int  # DAgger rounds, of the rows that name no other number
     steps: int  # optimiser steps of the first round; later rounds take half as many
     validation: int  # closed-loop episodes after each third of a round
-    corrected_episodes: int = 200  # in each DAgger round
+    corrected_episodes: int = 400  # in each DAgger round
     mixing: float = 0.0  # share of the decisions that the expert takes in the first DAgger round
 
 

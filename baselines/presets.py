@@ -47,7 +47,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             scored=150, swept=24, sweep_points=ENDS, ppo_steps=60_000,
         ),
         "full": Preset(
-            seeds=(0, 1, 2), episodes=600, corrections=2, corrected_episodes=200, steps=2400, validation=60,
+            seeds=(0, 1, 2), episodes=1500, corrections=2, corrected_episodes=400, steps=2400, validation=60,
             open_loop=100, scored=500, swept=SWEPT, sweep_points=EVERY, ppo_steps=300_000,
         ),
     }

@@ -46,9 +46,9 @@ class Course:
     radio: str = "dsrc"  # none: trained, as it will be run, without sharing
     depth: int = FRAMES  # newest frames in a message
     seed: int = 0
-    episodes: int = 600  # driven by the expert
+    episodes: int = 1500  # driven by the expert
     corrections: int = 2  # DAgger rounds: the network drives, the expert labels
-    corrected_episodes: int = 200  # in each of them
+    corrected_episodes: int = 400  # in each of them
     mixing: float = 0.0  # share of the decisions that the expert takes in the first of them; of the n-th: to the n
     steps: int = 2400  # optimiser steps of the first round; half as many in each later one
     segments: int = 3  # parts of a round; a checkpoint and a validation after each

@@ -9,7 +9,7 @@ from gymnasium import spaces
 
 from cad_env.config import check_names, check_range
 from cad_env.pipeline.observe import HORIZON, observation_space
-from cad_env.pipeline.points import MOST_POINTS, RawPoints
+from cad_env.pipeline.points import MOST_POINTS, RawPoints, Reads
 from cad_env.types import Floats, Ints
 
 MOST_AZIMUTHS, MOST_BEAMS, MOST_MERGED = 8192, 128, 65536
@@ -30,11 +30,21 @@ class CloudCodec(Protocol):
     def encode(self, clouds: Sequence[Floats]) -> list[bytes]:
         """A payload for each of a batch of clouds (n, 3) m, as cast: ground included, in the vehicles' own frames.
 
-        An encoder of few points begins with `pipeline.points.thinned`. The arrays are lent: the next batch is in them.
+        An encoder of few points begins with `pipeline.points.thinned`, and had better be `Selective`. The arrays are
+        lent: they are not to be changed, and the next batch is in them.
         """
 
     def decode(self, payload: bytes) -> Floats:
         """(k <= most, 3 + W) finite numbers, x, y, z in m in the sender's own frame; raises DecodeError only."""
+
+
+@runtime_checkable
+class Selective(Protocol):
+    """A codec that says what it reads, which spares making the rest."""
+
+    @property
+    def reads(self) -> Reads:
+        """The same for every cloud."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, new_fleet, run
 from cad_env.planner import Rule, decide_on_truth
 from cad_env.shelf import new_shelf, put, take
-from cad_env.types import FRAMES, Floats, Ints
+from cad_env.types import FRAMES, Bytes, Floats, Ints
 from cad_env.world.clearance import time_to_contact
 from cad_env.world.state import Routes, World, empty_routes, empty_world
 from cad_env.world.step import advance
@@ -71,7 +71,7 @@ class Board:
         self.told = _nothing_told(places)
         self.views: View = empty_view(places, 1)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
-        self.rooms: list[Floats] = []  # scratch: for clouds before they are encoded
+        self.rooms: list[Bytes] = []  # scratch: for clouds before they are encoded
         self._scenes: dict[int, LiveScene] = {}  # whose arrays the shelf borrows
         self.shelf: Any = new_shelf(KIND, places, self._scenes)
 

@@ -66,6 +66,9 @@ class Family(Protocol):
         A network that takes part in what is sent (a learned encoder) goes into them as it is then.
         """
 
+    def replayed(self, network: nn.Module) -> dict[str, Any]:
+        """The options of an environment to replay in: as those of `environment`, without what `look` does not read."""
+
     def look(self, simulation: Simulation, observation: Observation) -> Any:
         """What is kept of the frame that is being decided on; it must not depend on the network's weights."""
 

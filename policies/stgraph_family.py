@@ -96,6 +96,10 @@ class StGraphFamily:
         """Nothing beside what every environment has."""
         return {}
 
+    def replayed(self, network: nn.Module) -> dict[str, Any]:
+        """The same."""
+        return self.environment(network)
+
     def look(self, simulation: Simulation, observation: Observation) -> Nodes:
         """The nodes of the observed graph."""
         slot = np.flatnonzero(observation["mask"].reshape(-1))

@@ -108,7 +108,13 @@ class _Workshop:
 
     def envs(self, scenario: str) -> CADVectorEnv:
         """Scenes as the network is to drive in them, as it is now."""
-        needs = self.family.environment(self.network)
+        return self._envs(scenario, self.family.environment(self.network))
+
+    def replayed(self, scenario: str) -> CADVectorEnv:
+        """Scenes to look at what was recorded in."""
+        return self._envs(scenario, self.family.replayed(self.network))
+
+    def _envs(self, scenario: str, needs: dict[str, Any]) -> CADVectorEnv:
         return CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio=self.course.radio, depth=self.course.depth, **needs)
 
     def done(self, turn: int) -> bool:
@@ -163,7 +169,7 @@ def train(
 def _learn_of(shop: _Workshop, turn: int, frames: dict[str, Frames]) -> None:
     """Add the frames of a round, of every scenario, as the network meets them."""
     for name in shop.course.scenarios:
-        envs, parts = shop.envs(name), []
+        envs, parts = shop.replayed(name), []
         for recorded in _recorded(shop, turn, name):
             parts.append(shop.family.frames(*replay(recorded, envs, shop.family.look)))
             shop.advance(REPLAYED_COST * len(recorded))

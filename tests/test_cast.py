@@ -10,7 +10,19 @@ from scenes import boxes
 
 from cad_env.chance import stream_key
 from cad_env.config import SensorConfig
-from cad_env.pipeline.cast import HEIGHT, HIGHEST, LOWEST, NOTHING, Rays, cast, meet, rays_of
+from cad_env.pipeline.cast import (
+    HEIGHT,
+    HIGHEST,
+    LOWEST,
+    NOTHING,
+    TOO_FAR,
+    Rays,
+    cast,
+    cast_centimetres,
+    meet,
+    rays_of,
+)  # fmt: skip
+from cad_env.pipeline.points import REACH, thinned
 from cad_env.pipeline.sense import MOUNT, can_see, outline, sensing
 from cad_env.types import CAR, TRUCK
 from cad_env.world.geometry import box_hides, boxes_touch
@@ -35,10 +47,18 @@ def met(world: World, rays: Rays = FLAT, observer: int = 0, reach: float = FAR) 
     return distance, struck
 
 
-def points(world: World, rays: Rays = LIDAR, config: SensorConfig = PERFECT, step: int = 0) -> np.ndarray:
+def points(
+    world: World, rays: Rays = LIDAR, config: SensorConfig = PERFECT, step: int = 0, ground: bool = True
+) -> np.ndarray:
     cloud = np.full((len(rays.direction) * len(rays.slope), 3), np.nan)
-    count = cast(world, outlines_of(world), 0, sensing(config), KEY, step, rays, cloud)
+    count = cast(world, outlines_of(world), 0, sensing(config), KEY, step, rays, ground, cloud)
     return cloud[:count]
+
+
+def whole_cm(world: World, rays: Rays, config: SensorConfig, step: int = 0) -> np.ndarray | None:
+    cloud = np.full((len(rays.direction) * len(rays.slope), 3), 9999, np.int16)
+    count = cast_centimetres(world, outlines_of(world), 0, sensing(config), KEY, step, rays, cloud)
+    return None if count == TOO_FAR else cloud[:count]
 
 
 def sees(world: World, target: int) -> bool:
@@ -187,6 +207,44 @@ def test_one_more_vehicle_moves_no_other_point():
     new = [point for point in map(tuple, more) if point not in fewer]
     assert len(new) > 0
     assert all(point[2] > 0.0 and point[0] < -20.0 for point in new)
+
+
+crowds = st.lists(places, max_size=6)
+noises = st.sampled_from([0.0, 0.2, 3.0])
+
+
+@settings(max_examples=40)
+@given(crowds, noises, st.sampled_from([(256, 64), (64, 1)]), st.sampled_from([CAR, TRUCK]))
+def test_without_the_ground_the_returns_of_vehicles_are_the_same_to_the_last_bit(others, noise, lidar, kind):
+    world, rays = boxes((0, 0, 0.7), *(around(*one) for one in others), kind=kind), rays_of(*lidar)
+    config = SensorConfig(noise=noise)
+    every, high = points(world, rays, config), points(world, rays, config, ground=False)
+    assert every[every[:, 2] != 0.0].tobytes() == high[high[:, 2] != 0.0].tobytes()
+    assert thinned(every, 300).tobytes() == thinned(high, 300).tobytes()
+    assert len(high) <= (met(world, rays, reach=config.range)[1] != NOTHING).sum() * lidar[1]
+
+
+@settings(max_examples=40)
+@given(crowds, noises, st.sampled_from([(256, 64), (64, 1)]))
+def test_in_centimetres_a_cloud_is_the_same_to_the_nearest_and_half_of_one_rounds_up(others, noise, lidar):
+    world, rays = boxes((0, 0, 0.7), *(around(*one) for one in others)), rays_of(*lidar)
+    config = SensorConfig(noise=noise)
+    for step in range(2):
+        usual, whole = points(world, rays, config, step), whole_cm(world, rays, config, step)
+        assert np.floor(usual * 100.0 + 0.5).astype(int).tolist() == whole.tolist()
+
+
+def test_what_two_bytes_of_centimetres_cannot_hold_is_told():
+    wall = boxes((0, 0, 0), (326.0, 0, 0, 2.0, 400.0))
+    ring = Rays(FLAT.direction, np.array([-HEIGHT / 324.0, 0.0]), np.array([324.0, math.inf]))  # on the road
+    config = SensorConfig(range=330.0, noise=10.0)
+    for world, rays in ((wall, FLAT), (boxes((0, 0, 0)), ring)):
+        told = set()
+        for step in range(20):
+            far = bool(np.abs(points(world, rays, config, step)).max() > REACH)
+            assert far == (whole_cm(world, rays, config, step) is None)
+            told.add(far)
+        assert told == {True, False}
 
 
 @settings(max_examples=20)

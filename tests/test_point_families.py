@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.families import family_named
+from baselines.families import FAMILIES, family_named
+from baselines.families.compressed import CompressedConfig, CompressedNet, LearnedFeatures, SizedOnly
+from cad_env.config import RadioConfig
+from cad_env.pipeline.points import thinned
 from cad_env.vector import CADVectorEnv
 from policies.family import Family
 from policies.saved import SavedModel, load_model, save_model
@@ -54,6 +57,37 @@ def test_what_the_clouds_of_all_vehicles_give_is_what_their_messages_give(radio:
     trained = {name: torch.from_numpy(part) for name, part in batch.items()}
     wanted = torch.softmax(family.logits(network, trained), 1)[:, 1].detach().numpy()
     np.testing.assert_allclose(family.driver(network, 0.5).brake_probability(observed), wanted, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("radio", ["ideal", "dsrc", "none", RadioConfig(loss=0.5, delay=0.1, range=60.0)])
+@pytest.mark.parametrize("name", FAMILIES)
+def test_episodes_are_replayed_in_scenes_where_a_look_sees_the_same(name: str, radio: str | RadioConfig) -> None:
+    family = family_named(name)
+    network = family.build(family.config_type(), seed=0)
+    options = (family.environment(network), family.replayed(network))
+    usual, other = (CADVectorEnv(2, scenario="left_turn", radio=radio, **needs) for needs in options)
+    for envs in (usual, other):
+        envs.reset(seed=3)
+    for _ in range(4):
+        one, two = looked_at(family, usual), looked_at(family, other)
+        assert one.keys() == two.keys()
+        assert all(one[part].tobytes() == two[part].tobytes() for part in one)
+        for envs in (usual, other):
+            envs.step(np.zeros(2, np.int64))
+
+
+@pytest.mark.parametrize("config", [CompressedConfig(), CompressedConfig(points=512, levels=2, width=4)])
+def test_what_is_replayed_is_as_large_as_what_is_sent(config: CompressedConfig) -> None:
+    rng = np.random.default_rng(1)
+    clouds = [rng.uniform(-60, 60, (count, 3)) * [1, 1, 0.05] for count in (0, 1, 5, 17, 400, 3000)]
+    sent, replayed = LearnedFeatures(CompressedNet(config)), SizedOnly(config)
+    wanted = [len(payload) for payload in sent.encode(clouds)]
+    payloads = replayed.encode(clouds)
+    assert [len(payload) for payload in payloads] == wanted
+    assert sent.reads == replayed.reads
+    assert all(replayed.decode(payload).shape == (0, 3) for payload in payloads)
+    few = [thinned(cloud, config.points) for cloud in clouds]
+    assert sent.encode(few) == sent.encode(clouds)
 
 
 @pytest.mark.parametrize("name", ["point_transformer", "compressed"])

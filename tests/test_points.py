@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from cad_env.pipeline.codec_bits import DecodeError
 from cad_env.pipeline.envelope import SIZE, Envelope, opened, seal
-from cad_env.pipeline.points import GROUND, KEPT, MOST_POINTS, REACH, RawPoints, thinned
+from cad_env.pipeline.points import GROUND, KEPT, MOST_POINTS, REACH, RawPoints, relative, thinned
 
 coordinates = st.floats(-REACH, REACH)
 clouds = st.integers(0, 40).flatmap(lambda count: arrays(np.float64, (count, 3), elements=coordinates))
@@ -50,6 +50,31 @@ def test_law_5_what_is_decoded_is_what_was_sent_to_half_a_centimetre(cloud: np.n
     assert np.abs(heard - said).max(initial=0.0) < 1e-9
     assert all(np.abs(cloud - point).max(axis=1).min() <= 0.005 + 1e-9 for point in heard)
     assert len(RawPoints(most=3).decode(payload)) <= 3
+
+
+@given(clouds)
+def test_a_cloud_in_centimetres_is_said_as_it_is(cloud: np.ndarray):
+    units = np.floor(cloud * 100.0 + 0.5).astype(np.int16)
+    assert RawPoints().encode([units]) == RawPoints().encode([cloud])
+
+
+def test_a_raw_message_is_thinned_as_its_points_in_metres_are():
+    every = np.arange(-(2**15), 2**15).astype(np.int16)
+    for axis in range(3):
+        cloud = np.full((len(every), 3), 21, np.int16)
+        cloud[:, axis] = every
+        heard = RawPoints(most=MOST_POINTS).decode(RawPoints().encode([cloud])[0])
+        assert heard.tobytes() == thinned(cloud * 0.01, MOST_POINTS).tobytes()
+
+
+@given(clouds, st.floats(-1e5, 1e5), st.floats(-20.0, 20.0))
+def test_a_pose_in_the_frame_of_another_is_where_it_is_seen_from_there(cloud: np.ndarray, x: float, turn: float):
+    for here in cloud:
+        ahead, aside, more = relative((x, 3.0, turn), here)
+        cos, sin = math.cos(here[2]), math.sin(here[2])
+        assert here[0] + ahead * cos - aside * sin == pytest.approx(x, abs=1e-6)
+        assert here[1] + ahead * sin + aside * cos == pytest.approx(3.0, abs=1e-6)
+        assert here[2] + more == pytest.approx(turn, abs=1e-9)
 
 
 def test_a_message_decodes_to_no_more_than_it_says():

@@ -101,6 +101,10 @@ class CommandFamily:
         """Nothing beside what every environment has."""
         return {}
 
+    def replayed(self, network: nn.Module) -> dict[str, Any]:
+        """The same."""
+        return self.environment(network)
+
     def look(self, simulation: Simulation, observation: Observation) -> Ints:
         """The command, (6,)."""
         return observation["command"]

@@ -32,7 +32,7 @@ from baselines.families.points import (
     most,
 )
 from cad_env.cloud import CloudConfig, OwnCloud
-from cad_env.pipeline.points import KEPT, thinned
+from cad_env.pipeline.points import KEPT, Reads, relative, thinned
 from cad_env.pipeline.radio import REACHES
 from cad_env.simulation import Simulation
 from cad_env.types import Floats, Ints, Observation
@@ -73,7 +73,11 @@ class CompressedConfig:
     @property
     def keypoints(self) -> int:
         """That a vehicle sends at most."""
-        keypoints: int = -(-self.points // SHARE**self.levels)
+        return self.keypoints_of(self.points)
+
+    def keypoints_of(self, points: int) -> int:
+        """That are made of so many points: every level keeps one in SHARE, rounded up."""
+        keypoints: int = -(-points // SHARE**self.levels)
         return keypoints
 
 
@@ -156,6 +160,7 @@ class LearnedFeatures:
     def __init__(self, network: CompressedNet) -> None:
         self._network = copy.deepcopy(network).double().eval().requires_grad_(False)
         self.width, self.most = network.config.channels, network.config.keypoints
+        self.reads = Reads(thinned=network.config.points)
 
     def encode(self, clouds: Sequence[Floats]) -> list[bytes]:
         """A message for each of a batch of clouds (n, 3) m, ground and all; in double, so none depends on another."""
@@ -174,6 +179,25 @@ class LearnedFeatures:
         return feature_codec.read(payload, self.most, self.width)
 
 
+class SizedOnly:
+    """The codec to replay in: messages as long as those of `LearnedFeatures`, so as often refused, that say nothing."""
+
+    width = 0
+
+    def __init__(self, config: CompressedConfig) -> None:
+        self._config, self.most = config, config.keypoints
+        self.reads = Reads(thinned=config.points)
+
+    def encode(self, clouds: Sequence[Floats]) -> list[bytes]:
+        """For each of a batch of clouds (n, 3) m as many zeros as its keypoints would take."""
+        keypoints = [self._config.keypoints_of(len(thinned(cloud, self._config.points))) for cloud in clouds]
+        return [bytes(feature_codec.size(count, self._config.channels)) for count in keypoints]
+
+    def decode(self, payload: bytes) -> Floats:
+        """(0, 3)."""
+        return np.zeros((0, 3))
+
+
 @dataclass(frozen=True)
 class CompressedFamily:
     """Features of points as messages; sender and receiver learn together, from the clouds of all vehicles."""
@@ -190,6 +214,11 @@ class CompressedFamily:
         assert isinstance(network, CompressedNet)
         return {"cloud": CloudConfig(codec=LearnedFeatures(network), merged=VEHICLES * network.config.keypoints)}
 
+    def replayed(self, network: nn.Module) -> dict[str, Any]:
+        """What arrives is as large, but not encoded, and the ego is shown no points: `look` reads none of these."""
+        assert isinstance(network, CompressedNet)
+        return {"cloud": CloudConfig(codec=SizedOnly(network.config), merged=1)}
+
     def look(self, simulation: Simulation, observation: Observation) -> Seen:
         """The clouds of the ego and of the nearest others whose messages reach it now.
 
@@ -201,7 +230,7 @@ class CompressedFamily:
         heard = [clouds[v] for v in range(1, len(clouds)) if simulation.arrival(v, 0)[0] == REACHES]
         own = clouds[0]
         near = [own, *sorted(heard, key=lambda other: _apart(own, other))][:VEHICLES]
-        pose = np.stack([_relative(other.pose, own.pose) for other in near])
+        pose = np.stack([relative(other.pose, own.pose) for other in near])
         return seen([cloud.thinned for cloud in near], pose, KEPT, observation)
 
     def frames(self, looks: Sequence[Seen], labels: Sequence[int], seeds: Sequence[int]) -> CloudFrames:
@@ -220,12 +249,6 @@ class CompressedFamily:
 
 def _apart(one: OwnCloud, other: OwnCloud) -> float:
     return float(np.hypot(*(one.pose - other.pose)[:2]))
-
-
-def _relative(pose: Floats, own: Floats) -> Floats:
-    """A pose (3,) m, m, rad in the world as one in the frame of another."""
-    (x, y), cos, sin = pose[:2] - own[:2], np.cos(own[2]), np.sin(own[2])
-    return np.array([x * cos + y * sin, y * cos - x * sin, pose[2] - own[2]])
 
 
 FAMILY = COMPRESSED = CompressedFamily()

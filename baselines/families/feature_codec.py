@@ -28,6 +28,15 @@ CENTIMETRES = 100.0
 _HEADER, _CRC = struct.Struct("<BBH"), struct.Struct("<I")
 
 
+def size(keypoints: int, width: int) -> int:
+    """Bytes of a message with so many keypoints of so many features.
+
+    >>> size(128, 128)
+    33544
+    """
+    return _HEADER.size + keypoints * (6 + 2 * width) + _CRC.size
+
+
 def written(position: NDArray[np.floating], features: NDArray[np.floating]) -> bytes:
     """Keypoints (k, 3) m with features (k, W) as bytes: to the centimetre, and to eleven significant bits.
 
@@ -50,7 +59,7 @@ def read(payload: bytes, most: int, width: int) -> Floats:
     version, named, count = _HEADER.unpack_from(payload)
     if version != VERSION or named + 1 != width or count > most:
         raise DecodeError(f"keypoints refused: version {version}, {named + 1} features, {count} of them")
-    end = _HEADER.size + count * (6 + 2 * width)
+    end = size(count, width) - _CRC.size
     if len(payload) != end + _CRC.size:
         raise DecodeError(f"keypoints of {len(payload)} bytes refused: {count} take {end + _CRC.size}")
     if _CRC.unpack_from(payload, end)[0] != zlib.crc32(payload[:end]):

@@ -101,6 +101,10 @@ class PointTransformerFamily:
         assert isinstance(network, PointTransformerNet)
         return {"cloud": CloudConfig(codec=RawPoints(), merged=network.config.merged)}
 
+    def replayed(self, network: nn.Module) -> dict[str, Any]:
+        """The same: what is looked at is what is merged."""
+        return self.environment(network)
+
     def look(self, simulation: Simulation, observation: Observation) -> Seen:
         """The merged cloud."""
         cloud = observation["cloud"]

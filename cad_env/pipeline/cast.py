@@ -11,6 +11,7 @@ import numpy as np
 
 from cad_env.chance import normals_and_uniform
 from cad_env.compiled import compiled, inlined_part
+from cad_env.pipeline.points import REACH, nearest_cm
 from cad_env.pipeline.sense import CENTRE_HEIGHT, MOUNT, Sensing
 from cad_env.types import Floats, Ints
 from cad_env.world.state import OFF, World
@@ -19,6 +20,8 @@ HEIGHT = 1.8  # m of the sensor above the road
 LOWEST, HIGHEST = math.radians(-24.8), math.radians(2.0)  # elevations of a 64-beam lidar (Velodyne HDL-64E)
 RANGE_NOISE = 0.1  # of the noise of a detection: a range is ten times as certain as the centre of a vehicle
 NOTHING = -1  # in place of the row of a vehicle that a ray meets
+TOO_FAR = -1  # in place of the number of returns
+_METRES, _CENTIMETRES = False, True
 
 
 class Rays(NamedTuple):
@@ -101,17 +104,35 @@ def _slab(start_x: float, step_x: float, half_x: float, start_y: float, step_y: 
 
 @compiled
 def cast(world: World, outlines: Floats, observer: int, sensor: Sensing, key: Ints, step: int, rays: Rays,
-         cloud: Floats) -> int:  # fmt: skip
+         ground: bool, cloud: Floats) -> int:  # fmt: skip
     """Fill cloud (A * B, 3) m with the returns of one observer, by azimuth, then beam; return how many.
 
     They are in the observer's own frame: x ahead and y to the left of its centre, z above the road. A beam that meets
-    the road first, within the sensor's range, is a return of height 0; one that passes over the box returns nothing.
+    the road first, within the sensor's range, is a return of height 0, left out unless `ground` is wanted; one that
+    passes over the box returns nothing.
     """
+    return _cast(world, outlines, observer, sensor, key, step, rays, ground, _METRES, cloud)
+
+
+@compiled
+def cast_centimetres(world: World, outlines: Floats, observer: int, sensor: Sensing, key: Ints, step: int, rays: Rays,
+                     cloud: Ints) -> int:  # fmt: skip
+    """As `cast`, ground and all, to the nearest cm: cloud (A * B, 3) int16. TOO_FAR if it cannot hold a coordinate."""
+    return _cast(world, outlines, observer, sensor, key, step, rays, True, _CENTIMETRES, cloud)
+
+
+@inlined_part
+def _cast(world: World, outlines: Floats, observer: int, sensor: Sensing, key: Ints, step: int, rays: Rays,
+          ground: bool, whole: bool, cloud: Floats) -> int:  # fmt: skip
+    """As `cast`, in whole cm if so asked."""
     azimuths, beams = rays.direction.shape[0], rays.slope.shape[0]
     distance, struck = np.empty(azimuths), np.empty(azimuths, np.int64)
+    along, across = np.empty(beams, cloud.dtype), np.empty(beams, cloud.dtype)
     meet(world, outlines, observer, sensor.range, rays, distance, struck)
-    ahead, count = MOUNT * world.size[observer, 0], 0
+    ahead, count, fits = MOUNT * world.size[observer, 0], 0, True
     for a in range(azimuths):
+        if struck[a] == NOTHING and not ground:
+            continue
         error = 0.0
         if sensor.noise > 0.0:
             error, _, _ = normals_and_uniform(key, step, observer, a, 0)
@@ -119,20 +140,48 @@ def cast(world: World, outlines: Floats, observer: int, sensor: Sensing, key: In
         cos, sin, way = rays.direction[a, 0], rays.direction[a, 1], distance[a]
         free, b = min(way, sensor.range), 0
         while b < beams and rays.ground[b] < free:
-            place = rays.ground[b] + error
-            cloud[count, 0], cloud[count, 1], cloud[count, 2] = ahead + place * cos, place * sin, 0.0
-            count, b = count + 1, b + 1
+            b += 1
+        if ground:
+            for g in range(b):  # apart from the writing below, so that it is done several beams at a time
+                place = rays.ground[g] + error
+                along[g], across[g] = _said(ahead + place * cos, whole), _said(place * sin, whole)
+            for g in range(b):
+                cloud[count + g, 0], cloud[count + g, 1], cloud[count + g, 2] = along[g], across[g], 0
+            if b > 0:  # between its first and its last return the ground of an azimuth is no farther than these
+                fits &= _fits(ahead + (rays.ground[0] + error) * cos, (rays.ground[0] + error) * sin, whole)
+                fits &= _fits(ahead + (rays.ground[b - 1] + error) * cos, (rays.ground[b - 1] + error) * sin, whole)
+            count += b
         if struck[a] == NOTHING:
             continue
         middle, place = CENTRE_HEIGHT[world.kind[struck[a]]], max(way + error, 0.0)
+        x, y = ahead + place * cos, place * sin
+        fits &= _fits(x, y, whole)
         if beams == 1:
-            cloud[count, 0], cloud[count, 1], cloud[count, 2] = ahead + place * cos, place * sin, middle
+            _put(cloud, count, x, y, middle, whole)
             count += 1
             continue
         while b < beams:
             height = HEIGHT + way * rays.slope[b]
             if height > 2.0 * middle:
                 break
-            cloud[count, 0], cloud[count, 1], cloud[count, 2] = ahead + place * cos, place * sin, height
+            _put(cloud, count, x, y, height, whole)
             count, b = count + 1, b + 1
-    return count
+    return count if fits else TOO_FAR
+
+
+@inlined_part
+def _put(cloud: Floats, at: int, x: float, y: float, z: float, whole: bool) -> None:
+    """Write a point (m), in whole cm if so asked."""
+    cloud[at, 0], cloud[at, 1], cloud[at, 2] = _said(x, whole), _said(y, whole), _said(z, whole)
+
+
+@inlined_part
+def _said(coordinate: float, whole: bool) -> float:
+    """A coordinate (m) as it is written."""
+    return nearest_cm(coordinate) if whole else coordinate
+
+
+@inlined_part
+def _fits(x: float, y: float, whole: bool) -> bool:
+    """Whether what is written of a place (m) can be; no vehicle is too high."""
+    return not whole or (abs(x) <= REACH and abs(y) <= REACH)

@@ -7,13 +7,13 @@ A raw message is what a lidar reports, ground and all, in whole centimetres of t
 """
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.compiled import compiled
+from cad_env.compiled import compiled, inlined_part
 from cad_env.config import check_range
 from cad_env.pipeline.codec_bits import DecodeError
 from cad_env.types import Floats, Ints
@@ -23,12 +23,14 @@ GROUND = 0.2  # m, up to which a return is the road's
 VOXEL = 100  # cm, the edge of the cube that keeps one point
 MOST_POINTS = 2**20  # points of a cloud
 REACH = 327.67  # m, the largest coordinate of two bytes of centimetres
+TOO_LARGE = f"coordinates of a cloud must be from {-REACH:g} to {REACH:g} m"
 
 _COUNT = 4  # bytes
 _POINT = 6  # bytes
 # Spreads voxels over a table: Teschner et al., "Optimized spatial hashing for collision detection", VMV 2003.
 _SPREAD = (73856093, 19349663, 83492791)
 _CENTIMETRE, _METRE = np.float64(0.01), np.float64(1.0)
+_GROUND, _GROUND_CENTIMETRES = np.float64(GROUND), np.int16(20)
 
 
 def thinned(cloud: Floats, most: int = KEPT) -> Floats:
@@ -37,16 +39,16 @@ def thinned(cloud: Floats, most: int = KEPT) -> Floats:
     >>> thinned(np.array([[5.2, 0.0, 0.0], [5.2, 0.1, 0.9], [5.4, 0.2, 0.9], [8.0, 0.0, 1.1]])).tolist()
     [[5.2, 0.1, 0.9], [8.0, 0.0, 1.1]]
     """
-    return _thin(np.ascontiguousarray(cloud, np.float64), _METRE, most)
+    return _thin(np.ascontiguousarray(cloud, np.float64), _METRE, _GROUND, most)
 
 
 @compiled
-def _thin(points: Floats, unit: float, most: int) -> Floats:
-    """As `thinned`, of points (n, 3) in units of so many metres."""
+def _thin(points: Floats, unit: float, ground: float, most: int) -> Floats:
+    """As `thinned`, of points (n, 3) in units of so many metres; the height of the ground is in these units too."""
     first = np.empty(points.shape[0], np.int64)
     count = 0
     for i in range(points.shape[0]):
-        if points[i, 2] * unit > GROUND:
+        if points[i, 2] > ground:
             first[count] = i
             count += 1
     count = _first_in_voxels(points, unit, first, count)
@@ -66,15 +68,19 @@ def _first_in_voxels(points: Floats, unit: float, chosen: Ints, count: int) -> i
     while size < 2 * count:
         size *= 2
     table = np.full(size, -1, np.int64)  # open addressing: the key of a voxel, which is never negative
-    left = 0
+    left, x, y, before, last = 0, 0, 0, -1, 0
     for c in range(count):
-        i, key, at = chosen[c], 0, 0
-        for axis in range(3):
-            # From whole centimetres, so that a wall on the edge of a voxel does not flicker with the last bit.
-            place = math.floor(points[i, axis] * unit * 100.0 + 0.5) // VOXEL
-            place = min(max(place, -(1 << 20)), (1 << 20) - 1) + (1 << 20)
-            key, at = key << 21 | place, at ^ place * _SPREAD[axis]
-        at &= size - 1
+        i = chosen[c]
+        # What is the same as of the point before is not computed anew: the beams of an azimuth meet one wall.
+        if c == 0 or points[i, 0] != points[last, 0]:
+            x = _cell(points[i, 0], unit)
+        if c == 0 or points[i, 1] != points[last, 1]:
+            y = _cell(points[i, 1], unit)
+        z, last = _cell(points[i, 2], unit), i
+        key = x << 42 | y << 21 | z
+        if key == before:
+            continue
+        before, at = key, (x * _SPREAD[0] ^ y * _SPREAD[1] ^ z * _SPREAD[2]) & (size - 1)
         while table[at] != -1 and table[at] != key:
             at = (at + 1) & (size - 1)
         if table[at] == -1:
@@ -82,6 +88,24 @@ def _first_in_voxels(points: Floats, unit: float, chosen: Ints, count: int) -> i
             chosen[left] = i
             left += 1
     return left
+
+
+@inlined_part
+def _cell(place: float, unit: float) -> int:
+    """Along one axis the number of the voxel, from 0 to 2**21 - 1, that a coordinate is in."""
+    # From whole centimetres, so that a wall on the edge of a voxel does not flicker with the last bit.
+    cell = math.floor(place * unit * 100.0 + 0.5) // VOXEL
+    return min(max(cell, -(1 << 20)), (1 << 20) - 1) + (1 << 20)
+
+
+def relative(pose: Sequence[float] | Floats, to: Sequence[float] | Floats) -> tuple[float, float, float]:
+    """A pose x, y (m), heading (rad) in the frame of another.
+
+    >>> [round(part, 9) for part in relative((3.0, 5.0, 2.0), (3.0, 1.0, math.pi / 2))]
+    [4.0, -0.0, 0.429203673]
+    """
+    dx, dy, cos, sin = pose[0] - to[0], pose[1] - to[1], math.cos(to[2]), math.sin(to[2])
+    return dx * cos + dy * sin, dy * cos - dx * sin, pose[2] - to[2]
 
 
 @compiled
@@ -93,8 +117,21 @@ def _to_centimetres(cloud: Floats, units: Ints) -> bool:
             value = cloud[i, axis]
             inside = abs(value) <= REACH
             fits &= inside
-            units[i, axis] = math.floor(value * 100.0 + 0.5) if inside else 0
+            units[i, axis] = int(nearest_cm(value)) if inside else 0
     return fits
+
+
+@inlined_part
+def nearest_cm(metres: float) -> float:
+    """Whole centimetres; half of one is rounded up."""
+    return float(np.floor(metres * 100.0 + 0.5))  # no whole number: a processor makes several floats whole at once
+
+
+class Reads(NamedTuple):
+    """What an encoder is given of a cloud."""
+
+    thinned: int = 0  # points that `thinned` leaves at most; 0: every return, the ground's among them
+    centimetres: bool = False  # every return to the nearest cm, int16, in place of m
 
 
 @dataclass(frozen=True)
@@ -117,9 +154,17 @@ class RawPoints:
         """No features."""
         return 0
 
-    def encode(self, clouds: Sequence[Floats]) -> list[bytes]:
-        """Each cloud (n, 3) m as bytes, to the nearest centimetre; ValueError for what two bytes cannot hold."""
-        return [_written(np.ascontiguousarray(cloud, np.float64)) for cloud in clouds]
+    @property
+    def reads(self) -> Reads:
+        """Everything, as it is written."""
+        return Reads(centimetres=True)
+
+    def encode(self, clouds: Sequence[Floats | Ints]) -> list[bytes]:
+        """Each cloud (n, 3) m as bytes, to the nearest centimetre; ValueError for what two bytes cannot hold.
+
+        A cloud of int16 is in centimetres.
+        """
+        return [_written(cloud) for cloud in clouds]
 
     def decode(self, payload: bytes) -> Floats:
         """(k <= most, 3) m, thinned; DecodeError for any bytes that `encode` does not write."""
@@ -127,17 +172,15 @@ class RawPoints:
         if len(payload) < _COUNT or count > MOST_POINTS or len(payload) != _COUNT + _POINT * count:
             raise DecodeError(f"raw points of {len(payload)} bytes refused: they are not a count and so many points")
         units = np.frombuffer(payload, "<i2", 3 * count, _COUNT).reshape(count, 3)
-        return _thin(units.astype(np.int16, copy=False), _CENTIMETRE, self.most)
+        return _thin(units.astype(np.int16, copy=False), _CENTIMETRE, _GROUND_CENTIMETRES, self.most)
 
 
-def _written(cloud: Floats) -> bytes:
+def _written(cloud: Floats | Ints) -> bytes:
     if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) > MOST_POINTS:
         raise ValueError(f"a cloud must be (n <= {MOST_POINTS}, 3), got {cloud.shape}")
-    payload = np.empty(_COUNT + _POINT * len(cloud), np.uint8)
-    payload[:_COUNT] = np.frombuffer(len(cloud).to_bytes(_COUNT, "little"), np.uint8)
-    units = payload[_COUNT:].view(np.int16).reshape(cloud.shape)
-    if not _to_centimetres(cloud, units):
-        raise ValueError(f"coordinates of a cloud must be from {-REACH:g} to {REACH:g} m, got {np.abs(cloud).max():g}")
-    if sys.byteorder == "big":
-        units.byteswap(inplace=True)
-    return payload.tobytes()
+    units = cloud
+    if cloud.dtype != np.int16:
+        units = np.empty(cloud.shape, np.int16)
+        if not _to_centimetres(np.ascontiguousarray(cloud, np.float64), units):
+            raise ValueError(f"{TOO_LARGE}, got {np.abs(cloud).max():g}")
+    return b"".join((len(units).to_bytes(_COUNT, "little"), np.ascontiguousarray(units, "<i2").data))

@@ -101,8 +101,8 @@ def _cell(place: float, unit: float) -> int:
 def relative(pose: Sequence[float] | Floats, to: Sequence[float] | Floats) -> tuple[float, float, float]:
     """A pose x, y (m), heading (rad) in the frame of another.
 
-    >>> [round(part, 9) for part in relative((3.0, 5.0, 2.0), (3.0, 1.0, math.pi / 2))]
-    [4.0, -0.0, 0.429203673]
+    >>> [round(part, 9) for part in relative((3.0, 5.0, 2.0), (1.0, 1.0, math.pi / 2))]
+    [4.0, -2.0, 0.429203673]
     """
     dx, dy, cos, sin = pose[0] - to[0], pose[1] - to[1], math.cos(to[2]), math.sin(to[2])
     return dx * cos + dy * sin, dy * cos - dx * sin, pose[2] - to[2]

@@ -61,7 +61,8 @@ _ROWS = (
         cost=12.0,
     ),
     Row("stgraph-no-edges", config={"edge_attributes": False}),  # [Ours without edge attributes]
-    Row("stgraph-bc", corrections=0, pace=2.0),  # clones only, as the paper does; in all as many steps as stgraph
+    # Clones only, as the paper does; as many steps as stgraph in three rounds.
+    Row("stgraph-bc", corrections=0, pace=2.0),
     Row("stgraph-velocity", config={"velocity": True}),  # a departure: nodes carry their velocity
 )  # fmt: skip
 

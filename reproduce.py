@@ -1,19 +1,18 @@
 """Make every table and plot of the paper's comparison: record, train all rows, score them, sweep, write the report.
 
 python reproduce.py --preset quick                     all rows, one training seed, few episodes: a first look
-python reproduce.py --preset hour                      the same with more of everything: an hour, or less
+python reproduce.py --preset hour                      the same with half as much again of everything
 python reproduce.py --preset full --jobs 2             three training seeds, 500 episodes: overnight on two cores
 python reproduce.py --preset full --shard 2/8          one of eight parts, on machines that share the folder --out
 python reproduce.py --preset full --merge              puts together what the shards have finished
 
 Interrupt it as you like: the same command goes on where it stopped. A row that fails does not stop the others.
 
-Minutes of hour, on two cores, as measured; quick has about six tenths of its episodes and steps:
+Minutes of quick, on two cores, as measured (28 in all):
 
     record the expert                        under 1
-    train the rows of points                 24
-    train the rows of graphs, and PPO        15
-    closed loop, open loop and sweeps         8
+    train all rows                           18, two thirds of it for those of points
+    closed loop, open loop and sweeps        9
     tables and plots                         under 1
 """
 

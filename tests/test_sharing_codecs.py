@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scenes import started, steps
 
+from cad_env import sharing
 from cad_env.cloud import CloudConfig
+from cad_env.ensemble import Ensemble
+from cad_env.pipeline.cast import cast
 from cad_env.pipeline.points import KEPT, RawPoints, Reads, thinned
-from cad_env.vector import CADVectorEnv
+from cad_env.simulation import setup_from
 
 RAYS = {"azimuths": 128, "beams": 16}
 
@@ -74,12 +77,24 @@ def test_training_data_are_thinned_from_all_points_whatever_the_codec_reads(code
 
 
 def test_codecs_that_read_differently_go_side_by_side():
-    codecs = [Listening(), RawPoints(), Choosing(Reads(centimetres=True))]
-    together = CADVectorEnv(3, scenario="left_turn", cloud=CloudConfig(codec=RawPoints(), **RAYS), radio="ideal")
-    alone = [started(k, cloud=CloudConfig(codec=codec, **RAYS), radio="ideal") for k, codec in enumerate(codecs)]
-    seen = together.reset(seed=0)[0]
-    for k, simulation in enumerate(alone):
-        assert simulation.observation(0)["cloud"].tobytes() == seen["cloud"][k].tobytes()
+    clouds = [CloudConfig(codec=one, **RAYS) for one in (Choosing(Reads(thinned=40)), Listening(), RawPoints())]
+    together = Ensemble([setup_from({"cloud": cloud, "radio": "ideal"}) for cloud in clouds])
+    alone = [started(k, cloud=cloud, radio="ideal") for k, cloud in enumerate(clouds)]
+    for k in range(3):
+        together.start(k, k)
+    for _ in zip(*(steps(one, 3) for one in alone), strict=True):
+        for k, one in enumerate(alone):
+            assert together.observation(k)["cloud"].tobytes() == one.observation(0)["cloud"].tobytes()
+        together.step(np.arange(3), np.zeros(3, np.int64))
+
+
+def test_a_cloud_that_is_sent_and_learned_from_is_cast_once_a_step(monkeypatch: pytest.MonkeyPatch):
+    casts = []
+    monkeypatch.setattr(sharing, "cast", lambda *given: casts.append(given) or cast(*given))
+    simulation = started(3, cloud=CloudConfig(codec=Choosing(Reads(thinned=KEPT)), **RAYS), radio="ideal")
+    for step, _ in enumerate(steps(simulation, 4)):
+        assert len(simulation.clouds) > 1
+        assert len(casts) == (step + 1) * len(simulation.agents)
 
 
 def test_what_raw_points_cannot_say_is_not_said_wrongly():

@@ -57,4 +57,4 @@ def _environment(settings: Settings, record: Record) -> dict[str, Any]:
 
 def _policy(settings: Settings, record: Record) -> Policy:
     """Who drove a recorded episode."""
-    return contender_named(record.contender).make_policy(settings.models(record.scenario))
+    return settings.driver(record.scenario, contender_named(record.contender))

@@ -36,7 +36,7 @@ def opened(settings: Settings) -> Store:
     prefer_one_thread()
     for scenario in settings.scenarios():
         for name in settings.contender:
-            contender_named(name).make_policy(settings.models(scenario))
+            settings.driver(scenario, contender_named(name))
     return Store(settings.folder(), identity(settings))
 
 
@@ -71,7 +71,7 @@ def identity(settings: Settings) -> dict[str, Any]:
     """All that the episodes depend on: settings, models and the code of the scenes; and the command, as a note."""
     names = (
         "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
-        "collaborators", "depth",
+        "collaborators", "depth", "threshold",
     )  # fmt: skip
     models = {name: contender_named(name).model for name in settings.contender}
     return {
@@ -103,7 +103,7 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
 def drive(settings: Settings, task: Task) -> list[Record]:
     """The records of one contender on some seeds of one scenario, in their order."""
     contender = contender_named(task.contender)
-    policy = contender.make_policy(settings.models(task.scenario))
+    policy = settings.driver(task.scenario, contender)
     abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
     envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender))
     episodes = rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard])

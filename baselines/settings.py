@@ -10,7 +10,7 @@ from baselines.cluster import check_ray
 from baselines.contenders import SHIPPED, Contender, contender_named, shipped_models
 from baselines.grid import Task, grid, shard_of
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
-from cad_env.types import FRAMES, STEP
+from cad_env.types import FRAMES, STEP, Policy
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL = ("all",)
@@ -51,6 +51,7 @@ class Settings:
     collaborators: int | None = None  # connected vehicles besides the ego; default: two to four
     hazard: str = "all"  # yes or no: only episodes with or without one; all: as the seed decides
     depth: int = FRAMES  # newest frames in a message
+    threshold: float | None = None  # P(brake) from which a learned contender brakes; default: its model's own
 
     def __post_init__(self) -> None:
         for name in self.contender:
@@ -73,6 +74,8 @@ class Settings:
             shard_of(self.shard)
             if self.gif:
                 raise ValueError("gif is for a whole run: merge the shards first")
+        if self.threshold is not None:
+            check_range("threshold", self.threshold, 0.0, 1.0)
         if self.hazard not in HAZARDS:
             raise ValueError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}")
         from cad_env.simulation import setup_from  # here, because highway-env takes a second that --help need not wait
@@ -91,6 +94,13 @@ class Settings:
         radio = self.radio_config() if contender.shares else RADIO_PRESETS["none"]
         options = self._environment(scenario, radio, min(self.depth, contender.depth))
         return {**options, **contender.needs(self.models(scenario))}
+
+    def driver(self, scenario: str, contender: Contender) -> Policy:
+        """A contender as it drives in a scenario. ValueError for models that are not there."""
+        policy = contender.make_policy(self.models(scenario))
+        if self.threshold is not None and hasattr(policy, "threshold"):
+            policy.threshold = self.threshold
+        return policy
 
     def _environment(self, scenario: str, radio: RadioConfig, depth: int) -> dict[str, Any]:
         return {

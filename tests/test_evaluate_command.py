@@ -16,7 +16,7 @@ from test_evaluate import SOME, Refused, files, run
 import evaluate
 from baselines.scoring import identity
 from baselines.settings import Settings
-from baselines.store import Store
+from baselines.store import Store, read_records
 from cad_env.scenarios import SCENARIOS
 from policies.saved import SavedModel, save_model
 from policies.stgraph import StGraphNet
@@ -128,6 +128,26 @@ def test_another_model_in_the_same_folder_is_refused(refused: Refused, models: P
     assert run(tmp_path / "out", *some) == 0
     save_model(models / "shared", SavedModel(StGraphNet(seed=2), 0.5))
     assert "another model of stgraph (" in refused(tmp_path / "out", *some)
+
+
+def test_a_threshold_takes_the_place_of_the_models_own(refused: Refused, models: Path, tmp_path: Path) -> None:
+    some = [
+        "--scenario",
+        "left_turn",
+        "--contender",
+        "stgraph",
+        "always-go",
+        "--episodes",
+        "2",
+        "--policy",
+        str(models),
+    ]
+    assert run(tmp_path / "out", *some, "--threshold", "0") == 0
+    found = {record.contender: record.outcome for record in read_records(tmp_path / "out")}
+    assert found["stgraph"] == "timeout"  # whatever P(brake) is, it brakes
+    assert found["always-go"] != "timeout"
+    assert "another threshold (0.0, now 1.0)" in refused(tmp_path / "out", *some, "--threshold", "1")
+    assert "threshold must be a number from 0 to 1, got 1.5" in refused(tmp_path / "new", *some, "--threshold", "1.5")
 
 
 def _truncate(folder: Path) -> None:

@@ -79,7 +79,7 @@ def environment_of(contender: Contender, settings: Settings, scenario: str) -> d
 
 def measure(contender: Contender, settings: Settings, scenario: str, seeds: Sequence[int]) -> OpenLoop:
     """Ask a contender in the expert's episodes of these seeds. ValueError for models that are not there."""
-    policy = contender.make_policy(settings.models(scenario))
+    policy = settings.driver(scenario, contender)
     envs = CADVectorEnv(min(ABREAST, len(seeds)), **environment_of(contender, settings, scenario))
     found: list[OpenEpisode] = []
     for start in range(0, len(seeds), ABREAST):  # so many episodes of observations are held at a time

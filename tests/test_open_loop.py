@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from baselines.contenders import contender_named
-from baselines.paper.open_loop import OpenEpisode, OpenLoop, measure, read_open_loop, write_open_loop
+from baselines.paper.open_loop import OpenEpisode, OpenLoop, at_threshold, measure, read_open_loop, write_open_loop
 from baselines.paper.open_metrics import average_precision, open_score, ranking, ratios
 from baselines.settings import Settings
 from cad_env.env import CADEnv
@@ -51,6 +51,16 @@ def test_a_network_answers_as_it_drives_and_says_how_sure_it_is() -> None:
     assert (found.messages, found.bytes) == (episode.messages_sent.sum(), episode.bytes_sent.sum())
     assert found.largest == episode.largest_message.max()
     assert loop.radio == "dsrc"
+
+
+def test_another_threshold_gives_the_answers_of_a_driver_that_has_it() -> None:
+    sure = replace(LOOP, episodes=LOOP.episodes[:1])
+    assert [at_threshold(sure, limit).episodes[0].answers for limit in (0.0, 0.2, 0.7, 1.0)] == [
+        "1111", "0111", "0110", "0000",
+    ]  # fmt: skip
+    assert at_threshold(sure, 0.7).episodes[0].counts() == (1, 1, 1, 1)
+    with pytest.raises(ValueError, match="stgraph does not say how sure it is"):
+        at_threshold(LOOP, 0.5)
 
 
 def test_it_survives_its_file(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ the same for every contender, because the expert drives it by the truth; what is
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +137,17 @@ def _digits(decisions: Ints) -> str:
 
 def _is_count(value: object) -> bool:
     return type(value) is int and value >= 0
+
+
+def at_threshold(loop: OpenLoop, threshold: float) -> OpenLoop:
+    """What the contender would have answered with another threshold. ValueError for one that has no P(brake)."""
+    episodes = []
+    for episode in loop.episodes:
+        if episode.brake_probability is None:
+            raise ValueError(f"{loop.contender} does not say how sure it is, so no threshold can be laid on it")
+        answers = _digits((np.array(episode.brake_probability) >= threshold).astype(np.int64))
+        episodes.append(replace(episode, answers=answers))
+    return replace(loop, episodes=tuple(episodes))
 
 
 NAMES = ("scenario", "contender", "radio")  # of an OpenLoop

@@ -12,7 +12,8 @@ from baselines.paper import published, tables
 from baselines.paper.bars import Bar, bar_table, bars
 from baselines.paper.closed_metrics import CHANCE, OURS, ClosedRow, closed_row, compared
 from baselines.paper.folder import NOTES, Run, read_run
-from baselines.paper.open_metrics import open_score
+from baselines.paper.open_loop import at_threshold
+from baselines.paper.open_metrics import OpenScore, open_score
 from baselines.paper.orders import Order, orders
 from baselines.paper.plots import robustness_plot, safety_plot
 from baselines.paper.sweeps import SWEEPS
@@ -27,11 +28,15 @@ Closed = Mapping[str, Mapping[str, list[ClosedRow]]]  # radio -> scenario
 Swept = Mapping[str, Mapping[str, Mapping[str, Mapping[str, ClosedRow]]]]  # name -> scenario -> value -> contender
 
 
+THRESHOLDS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of OURS, in open loop
+
+
 @dataclass(frozen=True)
 class Findings:
     """All numbers of a run."""
 
     open: Scores
+    thresholds: Scores  # of OURS in open loop, by the threshold
     closed: Closed
     orders: list[Order]
     sweeps: Swept
@@ -87,7 +92,21 @@ def found_in(run: Run) -> Findings:
                 }
     scenes = dict.fromkeys([*scores, *(scenario for scenarios in closed.values() for scenario in scenarios)])
     judged = [bar for scene in scenes for bar in bars(scene, _of_scene(closed, scene), scores.get(scene, {}))]
-    return Findings(scores, closed, said, sweeps, judged)
+    return Findings(scores, _by_threshold(run), closed, said, sweeps, judged)
+
+
+def _by_threshold(run: Run) -> dict[str, dict[str, OpenScore]]:
+    """OURS in open loop, by scenario and threshold."""
+    ours = {scenario: contenders[OURS] for scenario, contenders in run.open.items() if OURS in contenders}
+    return {
+        scenario: {
+            f"{limit:g}": open_score(
+                {seed: at_threshold(loop, limit) for seed, loop in loops.items()}, np.random.default_rng(CHANCE)
+            )
+            for limit in THRESHOLDS
+        }
+        for scenario, loops in ours.items()
+    }
 
 
 def _of_scene(closed: Closed, scenario: str) -> dict[str, list[ClosedRow]]:
@@ -226,4 +245,9 @@ def _open_loop(findings: Findings) -> str:
             "messages went over; the world is the expert's and the same for all.",
             tables.open_table(scores),
         ]
+        if scenario in findings.thresholds:
+            lines += [
+                f"`{OURS}` with other thresholds in place of those of its models (`evaluate.py --threshold`):",
+                tables.threshold_table(findings.thresholds[scenario]),
+            ]
     return "\n\n".join(lines)

@@ -132,6 +132,13 @@ def open_table(scores: Mapping[str, OpenScore]) -> str:
     return markdown(head, rows)
 
 
+def threshold_table(scores: Mapping[str, OpenScore]) -> str:
+    """One contender in a scene in open loop, by the threshold from which it brakes."""
+    what = ("ad", "ear", "precision", "f1", "false_brake_rate")
+    rows = [[limit, *(share(getattr(score, name)) for name in what)] for limit, score in scores.items()]
+    return markdown(("threshold", "AD (recall)", "EAR (accuracy)", "precision", "F1", "false brakes"), rows)
+
+
 def outcome_table(rows: Sequence[ClosedRow]) -> str:
     """How episodes end, and how that compares with `stgraph`."""
     head = (

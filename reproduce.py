@@ -121,20 +121,24 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
 
     mine = of.units(plan, shard)
     stages: list[tuple[str, list[Any]]] = []
+    sweeps: list[Any] = []
     for seed in plan.preset.seeds:
         units = [unit for unit in mine if unit[1] == seed]
-        stages.append((f"train, seed {seed}", [task for unit in units for task in of.training(plan, unit)]))
-        stages.append((f"measure, seed {seed}", [task for unit in units for task in of.measuring(plan, unit)]))
-    sweeps = [task for _, tasks in stages for task in tasks if task.stage == "sweep"]
-    stages = [(name, [task for task in tasks if task.stage != "sweep"]) for name, tasks in stages]
+        measured = [task for unit in units for task in of.measuring(plan, unit)]
+        stages += [
+            (f"train, seed {seed}", [task for unit in units for task in of.training(plan, unit)]),
+            (f"measure, seed {seed}", [task for task in measured if task.stage != "sweep"]),
+        ]
+        sweeps += [task for task in measured if task.stage == "sweep"]
+    stages.append(("sweep", sweeps))
     recording = float(plan.preset.episodes * len(plan.scenarios))
-    total = recording + sum(of.work_of(plan, task) for _, tasks in [*stages, ("", sweeps)] for task in tasks)
+    total = recording + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
     failures: list[Failure] = []
     with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
         lost = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
         if lost:
             return lost
-        for name, tasks in [*stages, ("sweep", sweeps)]:
+        for name, tasks in stages:
             bar.set_description(name)
             failures += _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
     _note(plan.out / FAILURES, failures)

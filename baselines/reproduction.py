@@ -195,25 +195,25 @@ def _score(plan: Plan, task: Task, advance: Advance) -> None:
     settings = scoring(plan, task)
     store = opened(settings)
     wanted = {key for part in settings.tasks() for key in part.episodes()}
-    if known := [record for record in _driven_elsewhere(plan, task) if key_of(record) in wanted - set(store.records)]:
+    missing = wanted - store.records.keys()
+    if known := [record for record in _driven_elsewhere(plan, task, settings) if key_of(record) in missing]:
         store.append(known)
     advance(EPISODE * len(store.records))
     completed(settings, store, lambda episodes: advance(EPISODE * episodes))
 
 
-def _driven_elsewhere(plan: Plan, task: Task) -> list[Record]:
+def _driven_elsewhere(plan: Plan, task: Task, settings: Settings) -> list[Record]:
     """Episodes that another part has driven with the same settings: sweeps meet where they change nothing."""
     from baselines.scoring import identity
 
-    found: dict[Key, Record] = {}
+    ours, found = identity(settings), dict[Key, Record]()
     for other in measuring(plan, (task.row, task.seed)):
         if other.stage == "open" or other == task:
             continue
         folder = scoring(plan, other).out
-        if (folder / EPISODES).exists():
-            theirs, ours = read_settings(folder), identity(scoring(plan, task))
-            if not difference({**theirs, "episodes": ours["episodes"]}, ours):
-                found |= {key_of(record): record for record in read_records(folder)}
+        alike = {"episodes": ours["episodes"]}  # how many were asked for does not matter
+        if (folder / EPISODES).exists() and not difference({**read_settings(folder), **alike}, ours):
+            found |= {key_of(record): record for record in read_records(folder)}
     return list(found.values())
 
 

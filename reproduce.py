@@ -167,8 +167,8 @@ def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) 
     with workers(min(jobs, len(tasks))) as (pool, told):
         running = {pool.submit(work, task): task for task in tasks}
         while not all(future.done() for future in running):
-            bar.update(heard(told))
-        bar.update(heard(told))
+            bar.update(sum(heard(told)))
+        bar.update(sum(heard(told)))
         return [(str(task), future.result()) for future, task in running.items() if future.result()]
 
 

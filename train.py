@@ -135,9 +135,9 @@ def _wait_for(running: "Sequence[Future[None]]", told: Any, bar: Any) -> None:
     from baselines.workers import heard
 
     while not all(future.done() for future in running):
-        bar.update(heard(told))
+        bar.update(sum(heard(told)))
         _raise_if_failed(running)
-    bar.update(heard(told))
+    bar.update(sum(heard(told)))
     _raise_if_failed(running)
 
 

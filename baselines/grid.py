@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-CHUNK = 25  # episodes that an interruption can cost a process
+CHUNK = 25  # episodes that a process takes at a time
 
 Key = tuple[str, str, int]  # scenario, contender, seed: what tells an episode from all others
 

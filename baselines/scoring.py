@@ -2,8 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Callable, Generator
-from concurrent.futures import as_completed
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -16,8 +15,8 @@ from baselines.cluster import on_ray
 from baselines.contenders import MODEL_FILES, contender_named
 from baselines.grid import Task
 from baselines.settings import HAZARDS, Settings
-from baselines.store import Store
-from baselines.workers import prefer_one_thread, workers
+from baselines.store import Store, key_of
+from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.compiled import version
 from cad_env.rollout import BatchPolicy, Episode, rollouts
 from cad_env.score import Record, Scorecard, scorecards
@@ -57,10 +56,11 @@ def completed(settings: Settings, store: Store, advance: Callable[[int], object]
         closing(_driven(settings, _missing(settings, store))) as finished,
     ):
         for records in finished:
-            store.append(records)
-            bar.update(len(records))
+            new = [record for record in records if key_of(record) not in store.records]
+            store.append(new)
+            bar.update(len(new))
             if advance:
-                advance(len(records))
+                advance(len(new))
     rows = scorecards(store.put_in_order(keys))
     if settings.shard is None:
         store.write_scores(rows)
@@ -100,15 +100,13 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
     return [task for task in rest if task.seeds]
 
 
-def drive(settings: Settings, task: Task) -> list[Record]:
-    """The records of one contender on some seeds of one scenario, in their order."""
+def drive(settings: Settings, task: Task) -> Iterator[Record]:
+    """The records of one contender on some seeds of one scenario, as the episodes end."""
     contender = contender_named(task.contender)
     policy = settings.driver(task.scenario, contender)
     abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
     envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender))
-    episodes = rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard])
-    records = {episode.seed: _record(episode) for episode in episodes}
-    return [records[seed] for seed in task.seeds]
+    return map(_record, rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard]))
 
 
 def _record(episode: Episode) -> Record:
@@ -125,12 +123,29 @@ def _record(episode: Episode) -> Record:
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:
-    work = partial(drive, settings)
+    """Records as episodes end; some come twice."""
+    work = partial(_drive_and_tell, settings)
     if settings.backend == "ray" and tasks:
         yield from on_ray(work, tasks, settings.jobs)
     elif settings.jobs == 1 or len(tasks) <= 1:
-        yield from map(work, tasks)
+        for task in tasks:
+            for record in drive(settings, task):
+                yield [record]
     else:
-        with workers(min(settings.jobs, len(tasks))) as (pool, _):
-            for finished in as_completed([pool.submit(work, task) for task in tasks]):
-                yield finished.result()
+        with workers(min(settings.jobs, len(tasks))) as (pool, told):
+            running = {pool.submit(work, task) for task in tasks}
+            while running:
+                yield heard(told)
+                finished = {future for future in running if future.done()}
+                for future in finished:
+                    yield future.result()  # all of a task: what it told last may still be on its way
+                running -= finished
+
+
+def _drive_and_tell(settings: Settings, task: Task) -> list[Record]:
+    """What a process does: each record is told as its episode ends, so that a kill loses none that has ended."""
+    records = []
+    for record in drive(settings, task):
+        tell(record)
+        records.append(record)
+    return records

@@ -10,12 +10,13 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
+from typing import Any
 
-_told: "Queue[float] | None" = None  # in a worker: where `tell` puts what it is told
+_told: "Queue[Any] | None" = None  # in a worker: where `tell` puts what it is told
 
 
 @contextmanager
-def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[float]]]":
+def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
     """So many processes, and the queue of what their tasks `tell`; tasks under way are dropped on an exception.
 
     A task must be a function of a module, as for any spawned process.
@@ -23,7 +24,7 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[float]]]":
     prefer_one_thread()
     context = multiprocessing.get_context("spawn")
     lifeline, held = context.Pipe(duplex=False)
-    told: Queue[float] = context.Queue()
+    told: Queue[Any] = context.Queue()
     pool = ProcessPoolExecutor(count, context, _start, (lifeline, told))
     try:
         with _interrupts_held():
@@ -47,21 +48,21 @@ def prefer_one_thread() -> None:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
-def tell(work: float) -> None:
-    """Called by a task: report progress to the process that it works for."""
+def tell(what: Any) -> None:
+    """Called by a task: report to the process that it works for what it has done so far."""
     if _told is not None:
-        _told.put(work)
+        _told.put(what)
 
 
-def heard(told: "Queue[float]") -> float:
-    """What tasks have told since the last time; waits half a second for the first."""
+def heard(told: "Queue[Any]") -> list[Any]:
+    """What tasks have told since the last time; waits a tenth of a second for the first."""
     try:
-        work = float(told.get(timeout=0.5))
+        found = [told.get(timeout=0.1)]
         while not told.empty():
-            work += float(told.get())
-        return work
+            found.append(told.get())
+        return found
     except queue.Empty:
-        return 0.0
+        return []
 
 
 @contextmanager
@@ -77,7 +78,7 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start(lifeline: Connection, told: "Queue[float]") -> None:
+def _start(lifeline: Connection, told: "Queue[Any]") -> None:
     global _told
     _told = told
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,6 +1,7 @@
 """One command makes all tables; here with as little of everything as there can be."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -89,7 +90,7 @@ def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypat
         perform(plan, Task("closed" if what == "dsrc" else "sweep", "stgraph", 0, what), lambda work: None)
     driven: list[str] = []
 
-    def counted(settings: Settings, task: Episodes) -> list[Record]:
+    def counted(settings: Settings, task: Episodes) -> Iterator[Record]:
         driven.append(str(settings.out))
         return drive(settings, task)
 

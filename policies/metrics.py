@@ -1,4 +1,4 @@
-"""metrics.csv: what every checkpoint of a course was worth, a row for each scenario it was validated on."""
+"""What the checkpoints of a course were worth: a table with a row for each scenario that one was driven in."""
 
 import csv
 import io
@@ -34,12 +34,13 @@ def worth(rows: Iterable[Row]) -> Worth:
 
 
 class Log:
-    """The file and its rows. A row torn by a kill is dropped, and its segment validated again."""
+    """The file and its rows, each on the disk when it is known. A row torn by a kill is dropped, and made again."""
 
     COLUMNS = (
         "round", "segment", "scenario", "loss", "threshold", "episodes", "collisions", "timeouts", "failures",
         "mean_time", "calm", "needless_brakes",
     )  # fmt: skip
+    OF_ALL = ("round", "segment", "loss", "threshold")  # the same in every scenario
 
     def __init__(self, path: Path) -> None:
         """Open the file, or begin one."""
@@ -47,21 +48,31 @@ class Log:
         self.rows: list[dict[str, Any]] = list(self._kept())
         self._write()
 
-    def of(self, turn: int, segment: int) -> list[dict[str, Any]]:
-        """The rows of a checkpoint."""
-        return [row for row in self.rows if (row["round"], row["segment"]) == (turn, segment)]
+    def of(self, turn: int, segment: int, threshold: float) -> list[dict[str, Any]]:
+        """The rows of a checkpoint, driven with a threshold."""
+        wanted = turn, segment, threshold
+        return [row for row in self.rows if (row["round"], row["segment"], row["threshold"]) == wanted]
 
-    def replace(self, turn: int, segment: int, rows: Iterable[Row]) -> None:
-        """Put these in the place of whatever there was of a checkpoint."""
-        before = self.of(turn, segment)
-        self.rows = [row for row in self.rows if row not in before]
-        self.rows += [{"round": turn, "segment": segment, **row} for row in rows]
+    def add(self, row: Row) -> None:
+        """Keep a row."""
+        self.rows.append(dict(row))
         self._write()
 
-    def best(self, count: int) -> list[tuple[int, int]]:
-        """(round, segment) of the checkpoints that are worth most, the best first."""
-        checkpoints = dict.fromkeys((row["round"], row["segment"]) for row in self.rows)
-        return sorted(checkpoints, key=lambda which: worth(self.of(*which)))[:count]
+    def forget(self, turn: int, segment: int) -> None:
+        """Drop whatever there is of a checkpoint."""
+        self.rows = [row for row in self.rows if (row["round"], row["segment"]) != (turn, segment)]
+        self._write()
+
+    def drivers(self) -> list[tuple[int, int, float]]:
+        """(round, segment, threshold) of all that has rows, those that are worth most first."""
+        found = dict.fromkeys((row["round"], row["segment"], row["threshold"]) for row in self.rows)
+        return sorted(found, key=lambda which: worth(self.of(*which)))
+
+    def note(self, turn: int, segment: int, threshold: float) -> dict[str, Any]:
+        """The rows of a checkpoint, driven with a threshold, as a model keeps them."""
+        rows = self.of(turn, segment, threshold)
+        found = [{name: row[name] for name in self.COLUMNS if name not in self.OF_ALL} for row in rows]
+        return {"round": turn, "segment": segment, "threshold": threshold, "validation": found}
 
     def _kept(self) -> Iterator[dict[str, Any]]:
         if not self.path.exists():

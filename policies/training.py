@@ -21,7 +21,7 @@ from cad_env.types import FRAMES
 from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, drive, fit, load_state, save_state
 from policies.family import Family, Frames
-from policies.metrics import Log, summary, worth
+from policies.metrics import Log, summary
 from policies.recording import Recording, record, replay
 from policies.saved import Families, SavedModel, load_model, paper_only, save_model
 from policies.stgraph import StGraphConfig
@@ -30,7 +30,9 @@ from policies.stgraph import StGraphConfig
 EXPERT_SEEDS, CORRECTED_SEEDS, VALIDATION_SEEDS, FINAL_SEEDS = 0, 300_000, 900_000, 950_000
 LAST_SEED = 999_999
 SIDE_BY_SIDE = 32
-FINALISTS = 2  # checkpoints that are validated once more, at every threshold
+METRICS, FINALS = "metrics.csv", "finalists.csv"  # what each checkpoint was worth, and the best at every threshold
+VALIDATED_AT = 0.5  # threshold, after each segment
+FINALISTS = 2  # checkpoints that are validated once more
 
 # What one unit of each kind of work costs, relative to an optimiser step: for an honest progress bar.
 REPLAYED_COST, DRIVEN_COST = 0.9, 1.6
@@ -99,7 +101,8 @@ class _Workshop:
     family: Family
     network: nn.Module
     optimiser: torch.optim.Adam
-    log: Log
+    log: Log  # of every checkpoint
+    finals: Log  # of the best, at every threshold
     advance: Advance
 
     def driven(self, episodes: int) -> None:
@@ -117,14 +120,13 @@ class _Workshop:
     def _envs(self, scenario: str, needs: dict[str, Any]) -> CADVectorEnv:
         return CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio=self.course.radio, depth=self.course.depth, **needs)
 
-    def done(self, turn: int) -> bool:
-        """Whether every segment of a round has its checkpoint and its validation."""
-        return all(self.has(turn, segment) for segment in range(self.course.segments))
+    def fitted(self, turn: int, segment: int) -> bool:
+        """Whether a segment has its checkpoint, and a row, which has its loss."""
+        return checkpoint(self.folder, turn, segment).exists() and bool(self.log.of(turn, segment, VALIDATED_AT))
 
-    def has(self, turn: int, segment: int) -> bool:
-        """Whether a segment has them."""
-        rows = self.log.of(turn, segment)
-        return checkpoint(self.folder, turn, segment).exists() and len(rows) == len(self.course.scenarios)
+    def load(self, turn: int, segment: int) -> None:
+        """Go back to the network and the optimiser as they were after a segment."""
+        load_state(checkpoint(self.folder, turn, segment), self.network, self.optimiser)
 
 
 def record_expert(folder: Path, scenario: str, episodes: int, advance: Advance) -> list[Recording]:
@@ -140,7 +142,7 @@ def train(
     families: Families = paper_only,
     recordings: Path | None = None,
 ) -> None:
-    """Train one network into `folder` (model.safetensors, config.json, metrics.csv), going on where it stopped.
+    """Train one network into `folder` (the model and how it came about), going on where it stopped.
 
     `recordings` is where the expert's episodes are, or are put; several courses may share it.
     """
@@ -153,12 +155,12 @@ def train(
     family = families(course.family)
     network = family.build(course.network, seed=course.seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=course.recipe.learning_rate)
-    log, shared = Log(folder / "metrics.csv"), recordings or folder / "recording"
-    shop = _Workshop(course, folder, shared, family, network, optimiser, log, advance)
+    log, finals, shared = Log(folder / METRICS), Log(folder / FINALS), recordings or folder / "recording"
+    shop = _Workshop(course, folder, shared, family, network, optimiser, log, finals, advance)
     frames: dict[str, Frames] = {}
     known = 0  # rounds whose frames are in there
     for turn in range(course.corrections + 1):
-        if not shop.done(turn):
+        if not all(shop.fitted(turn, segment) for segment in range(course.segments)):
             for missing in range(known, turn + 1):
                 _learn_of(shop, missing, frames)
             known = turn + 1
@@ -197,43 +199,54 @@ def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
     before, total = (sum(map(course.steps_of, range(rounds))) for rounds in (turn, course.corrections + 1))
     size = course.steps_of(turn) // course.segments
     for segment in range(course.segments):
-        path = checkpoint(shop.folder, turn, segment)
-        if shop.has(turn, segment):
-            load_state(path, shop.network, shop.optimiser)
+        if shop.fitted(turn, segment):
+            shop.load(turn, segment)
+            loss = shop.log.of(turn, segment, VALIDATED_AT)[0]["loss"]
             shop.advance(size)
-            shop.driven(course.validation * len(course.scenarios))
+        else:
+            shop.log.forget(turn, segment)
+            rng = np.random.default_rng([course.seed, turn, segment])
+            steps = range(before + segment * size, before + (segment + 1) * size)
+            loss = fit(
+                shop.family, shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance
+            )
+            save_state(checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser)
+        seeds = range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation)
+        _validate(shop, shop.log, (turn, segment, VALIDATED_AT), loss, seeds)
+
+
+def _validate(shop: _Workshop, log: Log, which: tuple[int, int, float], loss: float, seeds: range) -> None:
+    """Note what the network is worth in closed loop, in every scenario of which that is not yet known."""
+    turn, segment, threshold = which
+    policy, known = shop.family.driver(shop.network, threshold), {row["scenario"] for row in log.of(*which)}
+    for name in shop.course.scenarios:
+        if name in known:
+            shop.driven(len(seeds))
             continue
-        rng = np.random.default_rng([course.seed, turn, segment])
-        steps = range(before + segment * size, before + (segment + 1) * size)
-        loss = fit(shop.family, shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance)
-        save_state(path, shop.network, shop.optimiser)
-        found = _validated(shop, 0.5, range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation))
-        shop.log.replace(turn, segment, [{"loss": round(loss, 5), "threshold": 0.5, **row} for row in found])
-
-
-def _validated(shop: _Workshop, threshold: float, seeds: range) -> list[dict[str, Any]]:
-    """What the network is worth in closed loop, a summary for each scenario."""
-    policy = shop.family.driver(shop.network, threshold)
-    return [
-        {"scenario": name, **summary(drive(policy, shop.envs(name), seeds, shop.driven))}
-        for name in shop.course.scenarios
-    ]
+        found = summary(drive(policy, shop.envs(name), seeds, shop.driven))
+        kind = {"round": turn, "segment": segment, "scenario": name, "loss": round(loss, 5), "threshold": threshold}
+        log.add({**kind, **found})
 
 
 def _keep_best(shop: _Workshop) -> None:
     """Validate the best checkpoints at every threshold on further seeds, and save the winner as the model."""
-    course = shop.course
+    course, log = shop.course, shop.finals
     seeds = range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation)
-    finals: list[dict[str, Any]] = []
-    for turn, segment in shop.log.best(FINALISTS):
-        load_state(checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser)
-        for threshold in course.thresholds:
-            found = _validated(shop, threshold, seeds)
-            finals.append({"round": turn, "segment": segment, "threshold": threshold, "validation": found})
-    best = min(finals, key=lambda final: worth(final["validation"]))
-    load_state(checkpoint(shop.folder, best["round"], best["segment"]), shop.network, shop.optimiser)
-    notes = {"course": json.loads(json.dumps(asdict(course))), "chosen": best, "finalists": finals}
-    save_model(shop.folder, SavedModel(shop.network, best["threshold"], notes, shop.family))
+    finalists = [
+        (turn, segment, threshold)
+        for turn, segment, _ in shop.log.drivers()[:FINALISTS]
+        for threshold in course.thresholds
+    ]
+    for which in finalists:
+        shop.load(*which[:2])
+        _validate(shop, log, which, shop.log.of(*which[:2], VALIDATED_AT)[0]["loss"], seeds)
+    best, *_ = log.drivers()
+    shop.load(*best[:2])
+    notes = {
+        "course": json.loads(json.dumps(asdict(course))), "chosen": log.note(*best),
+        "finalists": [log.note(*which) for which in finalists],
+    }  # fmt: skip
+    save_model(shop.folder, SavedModel(shop.network, best[2], notes, shop.family))
 
 
 def checkpoint(folder: Path, turn: int, segment: int) -> Path:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from cad_env.rollout import Episode
 from cad_env.scenarios import SCENARIOS
-from cad_env.types import BRAKE
+from cad_env.types import BRAKE, Policy
 from cad_env.vector import CADVectorEnv
-from policies.cloning import Recipe, Worth, balanced, fit, load_state, save_state
+from policies.cloning import Recipe, Worth, balanced, drive, fit, load_state, save_state
 from policies.family import Frames
 from policies.metrics import Log
 from policies.recording import joined, record, replay
@@ -146,33 +147,54 @@ def test_a_course_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> Non
     assert (tmp_path / "stopped/metrics.csv").read_text() == (tmp_path / "whole/metrics.csv").read_text()
 
 
-def test_metrics_have_a_row_for_every_checkpoint_and_scenario_and_survive_a_torn_line(tmp_path: Path) -> None:
+def test_metrics_have_a_row_for_every_checkpoint_and_scenario(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     train(TINY, folder, lambda work: None)
     with (folder / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     wanted = [(turn, segment, name) for turn in "01" for segment in "01" for name in NAMES]
     assert [(row["round"], row["segment"], row["scenario"]) for row in rows] == wanted
-    before = (folder / "metrics.csv").read_text()
-    (folder / "metrics.csv").write_text(before[:-9])
-    (folder / "config.json").unlink()
-    train(TINY, folder, lambda work: None)
-    assert (folder / "metrics.csv").read_text().count("\n") == before.count("\n")
+
+
+@pytest.mark.parametrize("torn", ["metrics.csv", "finalists.csv"])
+def test_a_torn_row_is_driven_again_and_nothing_else_is_done_twice(
+    torn: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(TINY, tmp_path, lambda work: None)
+    model, before = (tmp_path / "config.json").read_bytes(), (tmp_path / torn).read_text()
+    (tmp_path / torn).write_text(before[:-9])
+    (tmp_path / "config.json").unlink()
+    driven: list[range] = []
+
+    def watched(policy: Policy, envs: CADVectorEnv, seeds: range, advance: Any) -> list[Episode]:
+        driven.append(seeds)
+        return drive(policy, envs, seeds, advance)
+
+    monkeypatch.setattr("policies.training.drive", watched)
+    monkeypatch.setattr("policies.training.fit", None)
+    monkeypatch.setattr("policies.training.replay", None)
+    train(TINY, tmp_path, lambda work: None)
+    assert len(driven) == 1
+    assert (tmp_path / torn).read_text() == before
+    assert (tmp_path / "config.json").read_bytes() == model
 
 
 def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then(tmp_path: Path) -> None:
-    def row(scenario: str, failures: int, time: float) -> dict[str, object]:
-        found = {name: 0 for name in Log.COLUMNS if name not in ("round", "segment")}
-        return {**found, "scenario": scenario, "failures": failures, "mean_time": time}
-
     log = Log(tmp_path / "metrics.csv")
-    log.replace(0, 0, [row("one", 0, 9.0), row("two", 5, 9.0)])
-    log.replace(0, 1, [row("one", 2, 9.0), row("two", 2, 12.0)])
-    log.replace(0, 2, [row("one", 4, 9.0), row("two", 0, 11.0)])
-    assert log.best(2) == [(0, 2), (0, 1)]
-    assert Log(tmp_path / "metrics.csv").best(3) == [(0, 2), (0, 1), (0, 0)]
-    log.replace(0, 0, [row("one", 0, 9.0), row("two", 0, 9.0)])
-    assert log.best(1) == [(0, 0)]
+
+    def add(segment: int, scenario: str, failures: int, time: float) -> None:
+        found = {**dict.fromkeys(Log.COLUMNS, 0), "segment": segment, "threshold": 0.5}
+        log.add({**found, "scenario": scenario, "failures": failures, "mean_time": time})
+
+    for segment, failures, times in ((0, (0, 5), (9.0, 9.0)), (1, (2, 2), (9.0, 12.0)), (2, (4, 0), (9.0, 11.0))):
+        for name, few, time in zip(("one", "two"), failures, times, strict=True):
+            add(segment, name, few, time)
+    assert log.drivers() == [(0, 2, 0.5), (0, 1, 0.5), (0, 0, 0.5)]
+    assert Log(tmp_path / "metrics.csv").drivers() == log.drivers()
+    log.forget(0, 0)
+    add(0, "one", 0, 9.0)
+    add(0, "two", 0, 9.0)
+    assert log.drivers()[0] == (0, 0, 0.5)
     assert len(log.rows) == 6
 
 

@@ -6,10 +6,12 @@ episode again, whatever is sensed or shared in it: one recording serves every ne
 
 import io
 import json
+import time
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ from cad_env.types import Bools, Ints, Observation
 from cad_env.vector import CADVectorEnv
 
 SHARD_EPISODES = 64
+KEPT_EVERY = 1.0  # s, what has ended of a shard is written
 FORMAT = 2
 _ARRAYS = ("seed", "length", "outcome", "action", "label")
 
@@ -53,10 +56,25 @@ class Recording:
         """E."""
         return len(self.seed)
 
+    def in_order(self, seeds: Sequence[int]) -> "Recording":
+        """The episodes of these seeds, in this order; KeyError for one that is not there."""
+        place = {seed: episode for episode, seed in enumerate(self.seed.tolist())}
+        chosen = np.array([place[seed] for seed in seeds], np.int64)
+        first = np.cumsum(self.length) - self.length
+        frames = np.concatenate(
+            [np.arange(first[episode], first[episode] + self.length[episode]) for episode in chosen]
+        )
+        return Recording(
+            self.seed[chosen], self.length[chosen], self.outcome[chosen], self.action[frames], self.label[frames]
+        )
+
 
 def joined(parts: Sequence[Recording]) -> Recording:
     """All episodes of several recordings."""
     return Recording(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS})
+
+
+Driven = Callable[[Sequence[int]], Iterator[Recording]]  # an episode for each seed, as they end
 
 
 def record(
@@ -70,8 +88,8 @@ def record(
     """Drive an episode per seed, ask the expert in every frame, and keep the shards that are already there.
 
     Without a driver the expert drives; beside one it takes a share of the decisions, `mixing`. `advance` is told how
-    many episodes were finished. Every shard is written whole or not at all, so two processes may record at once.
-    Raises ShardError for a shard that is damaged or of other episodes.
+    many episodes were finished. Every shard is written whole or not at all, so two processes may record at once; what
+    has ended of the next one is kept every second. Raises ShardError for a shard that is damaged or of other episodes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     made_with, parts = _made_with(envs.ensemble.simulations[0].setup), []
@@ -79,7 +97,9 @@ def record(
         wanted = list(seeds[start : start + SHARD_EPISODES])
         path = folder / f"shard_{start // SHARD_EPISODES:05d}.npz"
         if not path.exists():
-            write_shard(path, _drive(envs, driver, wanted, mixing), made_with)
+            begun = path.with_suffix(".begun.npz")
+            write_shard(path, _completed(begun, made_with, wanted, partial(_drive, envs, driver, mixing)), made_with)
+            begun.unlink(missing_ok=True)
         part = read_shard(path, made_with)
         if part.seed.tolist() != wanted:
             raise ShardError(f"{path}: holds other episodes than this run records; give another folder or delete it")
@@ -106,7 +126,9 @@ def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[An
         action: Ints = recorded.action[first[episodes] + at].astype(np.int64)
         return action
 
-    outcome = _play(envs, recorded.seed.tolist(), decide)
+    outcome = np.zeros(len(recorded), np.int8)
+    for episode, ended in _play(envs, recorded.seed.tolist(), decide):
+        outcome[episode] = ended
     length = np.array([len(of) for of in looks])
     if unlike := np.flatnonzero((outcome != recorded.outcome) | (length != recorded.length)).tolist():
         raise _unlike(recorded, unlike[0])
@@ -118,7 +140,22 @@ def _unlike(recorded: Recording, episode: int) -> ReplayError:
     return ReplayError(f"episode {recorded.seed[episode]} does not end as it was recorded: other settings or scenes")
 
 
-def _drive(envs: CADVectorEnv, driver: BatchPolicy | None, seeds: Sequence[int], mixing: float) -> Recording:
+def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driven: Driven) -> Recording:
+    """The episodes of a shard, in their order; those that are in the file `begun` are not driven again."""
+    known = [read_shard(begun, made_with)] if begun.exists() else []
+    there = {seed for part in known for seed in part.seed.tolist()}
+    written = time.monotonic()
+    for episode in driven([seed for seed in seeds if seed not in there]):
+        known.append(episode)
+        if time.monotonic() - written > KEPT_EVERY:
+            known = [joined(known)]
+            write_shard(begun, known[0], made_with)
+            written = time.monotonic()
+    return joined(known).in_order(seeds)
+
+
+def _drive(envs: CADVectorEnv, driver: BatchPolicy | None, mixing: float, seeds: Sequence[int]) -> Iterator[Recording]:
+    """One episode after another, as they end."""
     expert, ensemble = Expert(), envs.ensemble
     actions: list[list[int]] = [[] for _ in seeds]
     labels: list[list[int]] = [[] for _ in seeds]
@@ -136,32 +173,31 @@ def _drive(envs: CADVectorEnv, driver: BatchPolicy | None, seeds: Sequence[int],
             labels[episode].append(right)
         return action
 
-    outcome = _play(envs, seeds, decide)
-    return Recording(
-        np.array(seeds, np.int64), np.array([len(of) for of in actions], np.int64), outcome,
-        np.concatenate([np.array(of, np.int8) for of in actions]),
-        np.concatenate([np.array(of, np.int8) for of in labels]),
-    )  # fmt: skip
+    for episode, outcome in _play(envs, seeds, decide):
+        yield Recording(
+            np.array([seeds[episode]], np.int64), np.array([len(actions[episode])], np.int64),
+            np.array([outcome], np.int8), np.array(actions[episode], np.int8), np.array(labels[episode], np.int8),
+        )  # fmt: skip
 
 
-def _play(envs: CADVectorEnv, seeds: Sequence[int], decide: Callable[[Ints, Ints], Ints]) -> Ints:
-    """Play an episode per seed, as many side by side as there are scenes; how each ended, (E,) int8.
+def _play(envs: CADVectorEnv, seeds: Sequence[int], decide: Callable[[Ints, Ints], Ints]) -> Iterator[tuple[int, int]]:
+    """Play an episode per seed, as many side by side as there are scenes: which one ended, and how.
 
     `decide` is given the scenes that go on, (n,), and which episodes they play, (n,), and gives their actions (n,).
     """
-    ensemble, outcome = envs.ensemble, np.zeros(len(seeds), np.int8)
+    ensemble = envs.ensemble
     waiting, free, going = iter(enumerate(seeds)), list(range(len(envs.ensemble))), dict[int, int]()
     while True:
         for place, (episode, seed) in zip(free, waiting, strict=False):
             ensemble.start(place, seed)
             going[place] = episode
         if not going:
-            return outcome
+            return
         which = np.array(list(going))
         ensemble.step(which, decide(which, np.array(list(going.values()))))
         free = which[ensemble.outcomes[which] != UNDER_WAY].tolist()
         for place in free:
-            outcome[going.pop(place)] = ensemble.outcomes[place]
+            yield going.pop(place), int(ensemble.outcomes[place])
 
 
 def _made_with(setup: Setup) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """A recording: what was driven comes back frame by frame, under any radio, and what is damaged is refused."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,12 +100,36 @@ def test_whoever_drives_the_label_is_the_experts_and_mixing_is_its_share(mixing:
 def test_a_second_recording_reads_the_shards_of_the_first(
     folder: Path, recorded: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def drive(*_: object) -> Recording:
+    def drive(*_: object) -> Iterator[Recording]:
         raise AssertionError("an episode was driven again")
 
     monkeypatch.setattr(recording, "_drive", drive)
     again = joined(record(folder, CADVectorEnv(2, radio="ideal"), None, range(6), lambda n: None))
     np.testing.assert_array_equal(again.action, recorded.action)
+
+
+def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
+    recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven: list[int] = []
+
+    def watched(envs: CADVectorEnv, seeds: list[int], decide: object) -> Iterator[tuple[int, int]]:
+        for episode, outcome in played(envs, seeds, decide):
+            driven.append(seeds[episode])
+            yield episode, outcome
+            if len(driven) == 4:
+                raise KeyboardInterrupt
+
+    played = recording._play
+    monkeypatch.setattr(recording, "_play", watched)
+    monkeypatch.setattr(recording, "KEPT_EVERY", 0.0)
+    with pytest.raises(KeyboardInterrupt):
+        record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None)
+    again = joined(record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None))
+    assert sorted(driven) == list(range(6))
+    for name in ("seed", "length", "outcome", "action", "label"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(recorded, name), err_msg=name)
+    assert [path.name for path in tmp_path.iterdir()] == ["shard_00000.npz"]
 
 
 def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded: Recording) -> None:

@@ -57,6 +57,8 @@ def completed(settings: Settings, store: Store, advance: Callable[[int], object]
     ):
         for records in finished:
             new = [record for record in records if key_of(record) not in store.records]
+            if not new:
+                continue  # nothing to wait for the disk for
             store.append(new)
             bar.update(len(new))
             if advance:

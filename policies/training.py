@@ -124,9 +124,10 @@ class _Workshop:
         """Whether a segment has its checkpoint, and a row, which has its loss."""
         return checkpoint(self.folder, turn, segment).exists() and bool(self.log.of(turn, segment, VALIDATED_AT))
 
-    def load(self, turn: int, segment: int) -> None:
-        """Go back to the network and the optimiser as they were after a segment."""
+    def load(self, turn: int, segment: int) -> float:
+        """Go back to the network and the optimiser as they were after a segment; gives its loss."""
         load_state(checkpoint(self.folder, turn, segment), self.network, self.optimiser)
+        return float(self.log.of(turn, segment, VALIDATED_AT)[0]["loss"])
 
 
 def record_expert(folder: Path, scenario: str, episodes: int, advance: Advance) -> list[Recording]:
@@ -200,8 +201,7 @@ def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
     size = course.steps_of(turn) // course.segments
     for segment in range(course.segments):
         if shop.fitted(turn, segment):
-            shop.load(turn, segment)
-            loss = shop.log.of(turn, segment, VALIDATED_AT)[0]["loss"]
+            loss = shop.load(turn, segment)
             shop.advance(size)
         else:
             shop.log.forget(turn, segment)
@@ -232,14 +232,12 @@ def _keep_best(shop: _Workshop) -> None:
     """Validate the best checkpoints at every threshold on further seeds, and save the winner as the model."""
     course, log = shop.course, shop.finals
     seeds = range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation)
-    finalists = [
-        (turn, segment, threshold)
-        for turn, segment, _ in shop.log.drivers()[:FINALISTS]
-        for threshold in course.thresholds
-    ]
-    for which in finalists:
-        shop.load(*which[:2])
-        _validate(shop, log, which, shop.log.of(*which[:2], VALIDATED_AT)[0]["loss"], seeds)
+    finalists: list[tuple[int, int, float]] = []
+    for turn, segment, _ in shop.log.drivers()[:FINALISTS]:
+        loss = shop.load(turn, segment)
+        for threshold in course.thresholds:
+            finalists.append((turn, segment, threshold))
+            _validate(shop, log, finalists[-1], loss, seeds)
     best, *_ = log.drivers()
     shop.load(*best[:2])
     notes = {

@@ -31,8 +31,8 @@ class Preset:
             raise ValueError(f"seeds must be at least one, each once, got {self.seeds}")
         if self.sweep_points not in (EVERY, ENDS):
             raise ValueError(f"sweep_points must be {EVERY} or {ENDS}, got {self.sweep_points!r}")
-        for name in ("open_loop", "scored", "ppo_steps"):
-            check_range(name, getattr(self, name), 1, 10**9)
+        for name, most in (("open_loop", 100_000), ("scored", 10**9), ("ppo_steps", 10**9)):
+            check_range(name, getattr(self, name), 1, most)
         check_range("swept", self.swept, 0, 10**6)
 
 

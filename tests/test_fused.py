@@ -39,6 +39,11 @@ FUSED = {
 DENSE = {name: config for name, config in VARIANTS.items() if name not in FUSED} | {
     "odd heads": StGraphConfig(head_width=5),
     "three layers": StGraphConfig(layers=3),
+    "two heads": StGraphConfig(heads=2),
+    "fused after every layer": StGraphConfig(fusion="per_layer"),
+    "node time": StGraphConfig(node_time=True),
+    "ego speed": StGraphConfig(ego_speed=True),
+    "class input": StGraphConfig(class_input=True),
 }
 Arrays = dict[str, np.ndarray]
 

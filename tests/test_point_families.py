@@ -52,7 +52,8 @@ def test_what_the_clouds_of_all_vehicles_give_is_what_their_messages_give(radio:
     envs, observed = after_some_steps(family, network, radio)
     batch = looked_at(family, envs)
     vehicles = batch["clouds_mask"].any(2).sum(1)
-    assert (vehicles >= 3).all() if radio == "ideal" else (vehicles == 1).all() or radio == "dsrc"
+    if radio != "dsrc":  # which refuses some messages and carries others
+        assert (vehicles >= 3).all() if radio == "ideal" else (vehicles == 1).all()
     assert np.array_equal(batch["clouds_mask"].sum((1, 2)), observed["cloud_mask"].sum(1))
     trained = {name: torch.from_numpy(part) for name, part in batch.items()}
     wanted = torch.softmax(family.logits(network, trained), 1)[:, 1].detach().numpy()
@@ -88,6 +89,12 @@ def test_what_is_replayed_is_as_large_as_what_is_sent(config: CompressedConfig) 
     assert all(replayed.decode(payload).shape == (0, 3) for payload in payloads)
     few = [thinned(cloud, config.points) for cloud in clouds]
     assert sent.encode(few) == sent.encode(clouds)
+
+
+def test_a_network_of_other_clouds_than_those_kept_is_not_trained() -> None:
+    family = family_named("compressed")
+    with pytest.raises(ValueError, match="points must be 128 .*, got 64"):
+        family.replayed(CompressedNet(CompressedConfig(points=64)))
 
 
 @pytest.mark.parametrize("name", ["point_transformer", "compressed"])

@@ -10,11 +10,15 @@ from baselines.contenders import contender_named
 from baselines.families import ppo
 from baselines.families.ppo import PpoConfig, actor_of, train_ppo
 from baselines.families.ppo_scenes import SEEDS, Scenes
+from baselines.paper.open_loop import FIRST_SEED
+from baselines.presets import PRESETS
+from baselines.settings import Settings
 from cad_env.rollout import rollouts
 from cad_env.types import BRAKE
 from cad_env.vector import CADVectorEnv
 from policies.driver import LearnedPolicy
 from policies.stgraph import StGraphConfig
+from policies.training import CORRECTED_SEEDS, EXPERT_SEEDS, FINAL_SEEDS, VALIDATION_SEEDS, Course
 
 SCENES = ("left_turn", "overtaking")
 
@@ -38,7 +42,22 @@ def test_an_episode_ends_with_its_last_sight_and_the_next_begins_in_the_same_ste
         assert info["TimeLimit.truncated"]
         assert info["episode"]["l"] == 300
         assert not np.array_equal(info["terminal_observation"]["tracks"], seen["tracks"][place])
-    assert scenes.scenes.ensemble.infos(np.ones(2, np.bool_))["seed"].max() < SEEDS
+
+
+def test_seeds_that_judge_are_not_learned_from():
+    assert SEEDS <= VALIDATION_SEEDS
+    for preset in PRESETS.values():
+        course = Course(episodes=preset.episodes, corrections=preset.corrections, validation=preset.validation)
+        corrected = [CORRECTED_SEEDS + turn * 10_000 for turn in range(1, preset.corrections + 1)]
+        parts = [
+            range(EXPERT_SEEDS, EXPERT_SEEDS + preset.episodes),
+            *(range(first, first + preset.corrected_episodes) for first in corrected),
+            range(FIRST_SEED, FIRST_SEED + preset.open_loop),
+            range(VALIDATION_SEEDS, VALIDATION_SEEDS + preset.validation),
+            range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation),
+            range(Settings().first_seed, Settings().first_seed + preset.scored),
+        ]
+        assert len(set().union(*parts)) == sum(map(len, parts))
 
 
 def test_the_same_seed_draws_the_same_episodes():

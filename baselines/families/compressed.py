@@ -215,8 +215,15 @@ class CompressedFamily:
         return {"cloud": CloudConfig(codec=LearnedFeatures(network), merged=VEHICLES * network.config.keypoints)}
 
     def replayed(self, network: nn.Module) -> dict[str, Any]:
-        """What arrives is as large, but not encoded, and the ego is shown no points: `look` reads none of these."""
+        """What arrives is as large, but not encoded, and the ego is shown no points: `look` reads none of these.
+
+        ValueError for a network of other clouds than those that recorded scenes keep, KEPT points a vehicle.
+        """
         assert isinstance(network, CompressedNet)
+        if network.config.points != KEPT:
+            raise ValueError(
+                f"network points must be {KEPT} to learn from recorded episodes, got {network.config.points}"
+            )
         return {"cloud": CloudConfig(codec=SizedOnly(network.config), merged=1)}
 
     def look(self, simulation: Simulation, observation: Observation) -> Seen:

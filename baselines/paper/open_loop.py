@@ -1,7 +1,9 @@
 """Open loop: the expert drives, and at every frame a contender is asked what it would do.
 
-The episodes are held out: their seeds, from 800,000 on, are neither trained on nor scored in closed loop. The world is
-the same for every contender, because the expert drives it by the truth; what is sent and seen is the contender's own.
+The episodes are held out: their seeds, from 800,000 on, are neither learned from the expert nor scored in closed loop.
+(PPO draws its episodes from all seeds below 900,000, so that one in 9,000 of them is among a hundred of these.) The
+world is the same for every contender, because the expert drives it by the truth; what is sent and seen is the
+contender's own.
 """
 
 import json
@@ -21,7 +23,7 @@ from cad_env.simulation import Simulation
 from cad_env.types import BRAKE, Floats, Ints, Observation, Policy
 from cad_env.vector import CADVectorEnv
 
-FIRST_SEED = 800_000  # up to a million, where scoring begins
+FIRST_SEED = 800_000  # validation begins at 900,000 and scoring at a million
 ABREAST = 8  # episodes side by side, and how many an answer is asked for at once
 AT_ONCE = 256  # frames that a policy is asked in one go
 

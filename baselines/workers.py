@@ -81,6 +81,9 @@ def _interrupts_held() -> Iterator[None]:
 def _start(lifeline: Connection, told: "Queue[Any]") -> None:
     global _told
     _told = told
+    # What nobody reads any more must not keep a worker from ending: its pipe is full after some hundred records. A
+    # task returns all that counts; what it tells is for those who cannot wait for that.
+    told.cancel_join_thread()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 

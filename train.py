@@ -22,6 +22,7 @@ from cad_env.config import check_range, radio_config
 from evaluate import parsed, refused, scored, stopped
 
 ALL = ("all",)
+ROWS = ("stgraph", "stgraph-own")
 RULES = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # whom the rows are scored beside
 
 
@@ -30,9 +31,9 @@ class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
     scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
-    row: tuple[str, ...] = ("stgraph", "stgraph-own")  # which rows of the table (baselines/rows.py)
+    row: tuple[str, ...] = ROWS  # which rows of the table (baselines/rows.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
-    radio: str = "dsrc"  # dsrc, cv2x or ideal: what the sharing networks are trained and scored on
+    radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another one have their own
     episodes: int = 1500  # of each scenario, driven by the expert
     corrections: int = 2  # rounds in which the network drives and the expert labels (DAgger)
     mixing: float = 0.0  # share of the decisions that the expert takes in the first of these; of the n-th: to the n
@@ -88,15 +89,31 @@ class TrainSettings:
             for row in self.row
         ]
 
-    def scoring(self) -> Settings:
-        """The closed-loop comparison at the end; other episodes or another version of the scenes score anew."""
+    def scoring(self) -> list[Settings]:
+        """The closed-loop comparison at the end, one for each radio that rows were trained over.
+
+        Other episodes, rows or another version of the scenes score anew.
+        """
         from cad_env.compiled import version
 
-        scores = self.folder() / f"scores_{self.score}_{version()}"
-        return Settings(
-            scenario=self.scenarios(), contender=(*RULES, *self.row), policy=tuple(map(self.models, self.seed)),
-            episodes=max(self.score, 1), jobs=self.jobs, out=scores, radio=self.radio,
-        )  # fmt: skip
+        found = []
+        for radio, rows in self._rows_by_radio().items():
+            asked = "" if rows == ROWS else f"_{'+'.join(rows)}"
+            scores = self.folder() / f"scores_{self.score}{asked}_{version()}"
+            found.append(
+                Settings(
+                    scenario=self.scenarios(), contender=(*RULES, *rows), policy=tuple(map(self.models, self.seed)),
+                    episodes=max(self.score, 1), jobs=self.jobs, out=scores, radio=radio,
+                )
+            )  # fmt: skip
+        return found
+
+    def _rows_by_radio(self) -> dict[str, tuple[str, ...]]:
+        found: dict[str, tuple[str, ...]] = {}
+        for name in self.row:
+            radio = row_named(name).radio or self.radio
+            found[radio] = (*found.get(radio, ()), name)
+        return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -106,13 +123,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         lessons = settings.lessons()
         for lesson, course in lessons:
             claim(lesson.folder, course)
+        scoring = settings.scoring() if settings.score else []
         train_all(settings, lessons)
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
         return stopped(error)
     print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
-    return scored(settings.scoring()) if settings.score else 0
+    for each in scoring:
+        if len(scoring) > 1:
+            print(f"Over the radio {each.radio}:")
+        if code := scored(each):
+            return code
+    return 0
 
 
 def train_all(settings: TrainSettings, lessons: Sequence[tuple[Lesson, Any]]) -> None:

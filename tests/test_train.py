@@ -93,6 +93,17 @@ def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.C
     assert "scenarios=['left_turn'], now" in error
 
 
+def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learned_over(tmp_path: Path) -> None:
+    usual, other = (
+        train.TrainSettings(out=tmp_path, **rows).scoring()
+        for rows in ({}, {"row": ("compressed", "gat", "raw-points")})
+    )
+    assert [run.radio for run in usual] == ["dsrc"]
+    learned = {name: run.radio for run in other for name in run.contender if name not in train.RULES}
+    assert learned == {"compressed": "cv2x", "gat": "dsrc", "raw-points": "ideal"}
+    assert len({run.out for run in [*usual, *other]}) == 4
+
+
 def test_one_scenario_several_or_all_have_folders_of_their_own() -> None:
     assert train.TrainSettings().folder() == Path("runs/all")
     assert train.TrainSettings(scenario=("left_turn",)).folder() == Path("runs/left_turn")

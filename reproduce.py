@@ -113,7 +113,8 @@ def claim(plan: Any) -> None:
 def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     """Record, then train and measure, a training seed after the other, and sweep; with one progress bar.
 
-    What failed comes back, once for each contender and seed. A run that is stopped has whole seeds to show.
+    What failed comes back, once for each contender and seed, and is written down with its traceback after every stage.
+    A run that is stopped has whole seeds to show.
     """
     from tqdm import tqdm
 
@@ -133,15 +134,17 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     stages.append(("sweep", sweeps))
     recording = float(plan.preset.episodes * len(plan.scenarios))
     total = recording + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
-    failures: list[Failure] = []
+    notes = plan.out / (FAILURES if shard is None else FAILURES.replace(".", f"_{shard.replace('/', '_of_')}."))
     with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
-        lost = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
-        if lost:
-            return lost
-        for name, tasks in stages:
+        failures = [
+            (f"record {scenario}", why)
+            for scenario, why in _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
+        ]
+        _note(notes, failures)
+        for name, tasks in stages if not failures else ():
             bar.set_description(name)
             failures += _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
-    _note(plan.out / FAILURES, failures)
+            _note(notes, failures)
     return [(what, why.splitlines()[-1]) for what, why in failures]
 
 
@@ -152,7 +155,7 @@ def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:
 
 
 def _note(path: Path, failures: Sequence[Failure]) -> None:
-    """Keep the whole story of the failures of this run."""
+    """Keep the whole story of what has failed so far."""
     path.unlink(missing_ok=True)
     if failures:
         path.write_text("\n\n".join(f"{what}\n{why}" for what, why in failures) + "\n")

@@ -83,23 +83,26 @@ def in_table() -> tuple[str, ...]:
 def units(plan: Plan, shard: str | None = None) -> list[tuple[str, int]]:
     """Every contender and training seed, or those of a shard `i/n`; one that is not trained comes once.
 
-    Those that cost most come first, so that shards cost about the same.
+    Those that cost most come first, so that processes end at about the same time, and each goes to the shard that has
+    least to do so far.
     """
     number, count = (1, 1) if shard is None else shard_of(shard)
-    dear = sorted(plan.rows, key=lambda name: -_price(name))
-    every = [
-        (name, seed)
-        for name in dear
+    every = {
+        (name, seed): _work(plan, (name, seed))
+        for name in plan.rows
         for seed in (plan.preset.seeds if contender_named(name).model else plan.preset.seeds[:1])
-    ]
-    return every[number - 1 :: count]
+    }
+    shards: list[list[tuple[str, int]]] = [[] for _ in range(count)]
+    loads = [0.0] * count
+    for unit in sorted(every, key=lambda unit: -every[unit]):
+        least = loads.index(min(loads))
+        shards[least].append(unit)
+        loads[least] += every[unit]
+    return shards[number - 1]
 
 
-def _price(name: str) -> int:
-    row = ROWS.get(name)
-    if row is None:
-        return 3 if contender_named(name).model else 0
-    return 4 if row.shares in LARGE else 3
+def _work(plan: Plan, unit: tuple[str, int]) -> float:
+    return sum(work_of(plan, task) for stage in (training, measuring) for task in stage(plan, unit))
 
 
 def training(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:

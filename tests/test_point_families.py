@@ -93,7 +93,7 @@ def test_what_is_replayed_is_as_large_as_what_is_sent(config: CompressedConfig) 
 
 def test_a_network_of_other_clouds_than_those_kept_is_not_trained() -> None:
     family = family_named("compressed")
-    with pytest.raises(ValueError, match="points must be 128 .*, got 64"):
+    with pytest.raises(ValueError, match=r"points must be 128 .*, got 64"):
         family.replayed(CompressedNet(CompressedConfig(points=64)))
 
 

@@ -13,7 +13,7 @@ from baselines.gathering import gather
 from baselines.grid import Task as Episodes
 from baselines.paper.report import write
 from baselines.presets import PRESETS, Preset
-from baselines.reproduction import Plan, Task, in_table, measuring, perform, scoring, training, units
+from baselines.reproduction import Plan, Task, in_table, measuring, perform, scoring, training, units, work_of
 from baselines.rows import ROWS
 from baselines.scoring import drive
 from baselines.settings import Settings
@@ -52,6 +52,20 @@ def test_what_is_trained_comes_once_a_seed_and_what_is_not_once(plan: Plan) -> N
 def test_shards_share_out_everything_once(plan: Plan, count: int) -> None:
     parts = [units(plan, f"{number}/{count}") for number in range(1, count + 1)]
     assert sorted(unit for part in parts for unit in part) == sorted(units(plan))
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_shards_cost_about_the_same(count: int) -> None:
+    plan = reproduce.plan_of(reproduce.ReproduceSettings(preset="full"))
+    loads = [
+        sum(
+            work_of(plan, task)
+            for unit in units(plan, f"{number}/{count}")
+            for task in (*training(plan, unit), *measuring(plan, unit))
+        )
+        for number in range(1, count + 1)
+    ]
+    assert max(loads) < 1.05 * sum(loads) / count
 
 
 def test_sweeps_are_of_the_first_seed_and_of_the_rows_that_are_compared(plan: Plan) -> None:
@@ -138,6 +152,25 @@ def test_a_folder_of_another_preset_is_refused(tmp_path: Path, capsys: pytest.Ca
     reproduce.claim(plan)
     assert reproduce.main(["--preset", "quick", "--merge", "--out", str(tmp_path)]) == 2
     assert "holds a run with another seeds" in capsys.readouterr().err
+
+
+def test_a_recording_that_fails_is_told_in_one_line_and_kept_apart_for_each_shard(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "recording").write_text("in the way")
+    command = ["--row", "always-go", "--out", str(run), "--jobs", "1"]
+    assert reproduce.main([*command, "--shard", "2/2"]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len([line for line in lines if line.startswith("failed: record ")]) == 3
+    assert not [line for line in lines if "Traceback" in line]
+    assert "Traceback" in (run / "failures_2_of_2.txt").read_text()
+    (run / "recording").unlink()
+    assert reproduce.main([*command, "--shard", "1/2"]) == 0
+    assert (run / "failures_2_of_2.txt").exists()
+    assert not (run / "failures_1_of_2.txt").exists()
 
 
 @pytest.mark.slow

@@ -5,29 +5,52 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from baselines.contenders import SHIPPED
 from baselines.grid import grid
+from baselines.paper.open_loop import open_path
 from baselines.reproduction import Plan, Task, measuring, scoring, table_of, units
+from baselines.scoring import identity
 from baselines.settings import Settings
-from baselines.store import SCORES, SETTINGS, Store, key_of, read_records, read_settings
+from baselines.store import SCORES, SETTINGS, Store, difference, key_of, read_records, read_settings
 from cad_env.files import replace_file
 from cad_env.score import scorecards
 
 
 def gather(plan: Plan) -> int:
-    """Fill closed/ and sweeps/ with all that is finished; gives how many parts are not."""
+    """Fill closed/ and sweeps/ with all that is finished; gives how many parts, of open loop too, are not."""
     tables: dict[str, list[Task]] = {}
+    lacking = 0
     for unit in sorted(units(plan), key=lambda unit: plan.rows.index(unit[0])):
         for task in measuring(plan, unit):
-            if task.stage != "open":
+            if task.stage == "open":
+                lacking += not open_path(plan.out, task.seed, task.what, task.row).exists()
+            else:
                 tables.setdefault(table_of(task), []).append(task)
-    lacking = 0
     for name, tasks in tables.items():
         parts = [scoring(plan, task) for task in tasks]
-        finished = [part for part in parts if (part.out / SCORES).exists()]  # written when all episodes are there
+        finished = [part for part in parts if _is_finished(part)]
         lacking += len(parts) - len(finished)
         if finished:
             _join(finished, plan.out / name)
     return lacking
+
+
+def _is_finished(part: Settings) -> bool:
+    """Whether all episodes are there, and of the model that is there now."""
+    try:
+        return (part.out / SCORES).exists() and not difference(read_settings(part.out), identity(part))
+    except FileNotFoundError:
+        return False
+
+
+def commands(parts: Sequence[Settings]) -> str:
+    """What gives the episodes of these parts, a line for those that differ in nothing but the contender."""
+    policy = next((part.policy for part in parts if part.policy), ())  # of one training seed; rules do not look at it
+    groups: dict[Settings, list[str]] = {}
+    for part in parts:
+        alike = replace(part, contender=SHIPPED, policy=policy, out=parts[0].out)
+        groups.setdefault(alike, []).append(part.contender[0])
+    return "\n".join(replace(alike, contender=tuple(names)).command() for alike, names in groups.items())
 
 
 def _join(parts: Sequence[Settings], into: Path) -> None:
@@ -35,7 +58,7 @@ def _join(parts: Sequence[Settings], into: Path) -> None:
     whole = replace(parts[0], contender=tuple(part.contender[0] for part in parts), out=into)
     notes = [read_settings(part.out) for part in parts]
     settings = {name: value for note in notes for name, value in note.items()}
-    settings |= {"contender": list(whole.contender), "command": whole.command()}
+    settings |= {"contender": list(whole.contender), "command": commands(parts)}
     into.mkdir(parents=True, exist_ok=True)
     replace_file(into / SETTINGS, (json.dumps(settings, indent=2) + "\n").encode())
     store = Store(into, settings)

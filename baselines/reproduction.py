@@ -5,7 +5,7 @@ among processes and, by shards, among machines with one file system.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from baselines.contenders import CONTENDERS, contender_named
 from baselines.courses import Budget, Lesson, course_of, learn
 from baselines.grid import Key, shard_of
 from baselines.paper.folder import ROWS as TABLE
-from baselines.paper.open_loop import FIRST_SEED, measure, open_path, write_open_loop
+from baselines.paper.open_loop import FIRST_SEED, measure, open_path, read_open_loop, write_open_loop
 from baselines.paper.sweeps import SweepPoint, points
 from baselines.presets import ENDS, Preset
 from baselines.rows import ROWS
@@ -169,11 +169,17 @@ def _train(plan: Plan, task: Task, advance: Advance) -> None:
 
 
 def _open(plan: Plan, task: Task, advance: Advance) -> None:
+    from baselines.scoring import digest_of
+
     path = open_path(plan.out, task.seed, task.what, task.row)
+    settings = plan.settings(task.row, task.seed, plan.out, radio=_own_radio(task.row), episodes=plan.preset.open_loop)
+    made_with = digest_of(settings)
     if not path.exists():
-        settings = plan.settings(task.row, task.seed, plan.out, radio=_own_radio(task.row))
         seeds = range(FIRST_SEED, FIRST_SEED + plan.preset.open_loop)
-        write_open_loop(path, measure(contender_named(task.row), settings, task.what, seeds))
+        found = measure(contender_named(task.row), settings, task.what, seeds)
+        write_open_loop(path, replace(found, made_with=made_with))
+    elif read_open_loop(path).made_with != made_with:
+        raise ValueError(f"{path} is of another model or another version of the scenes: delete it")
     advance(EPISODE * plan.preset.open_loop)
 
 

@@ -1,6 +1,7 @@
 """Contenders x seeds -> records of episodes -> scores: in this process or in several, with the same result."""
 
 import hashlib
+import json
 import math
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
@@ -15,7 +16,7 @@ from baselines.cluster import on_ray
 from baselines.contenders import MODEL_FILES, contender_named
 from baselines.grid import Task
 from baselines.settings import HAZARDS, Settings
-from baselines.store import Store, key_of
+from baselines.store import NOTES, Store, key_of
 from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.compiled import version
 from cad_env.rollout import BatchPolicy, Episode, rollouts
@@ -86,6 +87,12 @@ def identity(settings: Settings) -> dict[str, Any]:
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
     }
+
+
+def digest_of(settings: Settings) -> str:
+    """The identity in 16 hexadecimal digits."""
+    known = {name: value for name, value in identity(settings).items() if name not in NOTES}
+    return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
 
 
 def _digest(settings: Settings, model: str) -> str:

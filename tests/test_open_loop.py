@@ -17,7 +17,8 @@ from cad_env.rollout import rollout
 
 SEEDS = range(800_000, 800_003)
 EPISODE = OpenEpisode(800_000, True, "0011", "0110", (0.1, 0.7, 0.9, 0.2), 8, 2400, 400)
-LOOP = OpenLoop("left_turn", "stgraph", "dsrc", (EPISODE, replace(EPISODE, seed=800_001, brake_probability=None)))
+OTHER = replace(EPISODE, seed=800_001, brake_probability=None)
+LOOP = OpenLoop("left_turn", "stgraph", "dsrc", (EPISODE, OTHER), "0123456789abcdef")
 
 
 SETTINGS = Settings(scenario=("left_turn",), contender=("expert",))
@@ -85,8 +86,11 @@ def test_an_altered_episode_is_refused_in_one_line(tmp_path: Path, change: dict[
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"scenario": 1, "contender": "", "radio": "", "episodes": [1]}',
-                                  '{"scenario": "", "contender": "", "radio": "", "episodes": []}'])  # fmt: skip
+@pytest.mark.parametrize("text", [
+    "", "[]", "{}", '{"scenario": 1, "contender": "", "radio": "", "made_with": "", "episodes": [1]}',
+    '{"scenario": "", "contender": "", "radio": "", "made_with": "", "episodes": []}',
+    '{"scenario": "", "contender": "", "radio": "", "episodes": [1]}',
+])  # fmt: skip
 def test_what_is_no_measurement_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "x.json").write_text(text)
     with pytest.raises(ValueError, match=r"x\.json: "):

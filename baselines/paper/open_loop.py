@@ -72,6 +72,7 @@ class OpenLoop:
     contender: str
     radio: str  # by the name of its preset
     episodes: tuple[OpenEpisode, ...]
+    made_with: str = ""  # digest of all that the answers depend on: settings, model and code of the scenes
 
 
 def environment_of(contender: Contender, settings: Settings, scenario: str) -> dict[str, Any]:
@@ -152,7 +153,7 @@ def at_threshold(loop: OpenLoop, threshold: float) -> OpenLoop:
     return replace(loop, episodes=tuple(episodes))
 
 
-NAMES = ("scenario", "contender", "radio")  # of an OpenLoop
+NAMES = ("scenario", "contender", "radio", "made_with")  # of an OpenLoop
 _KEYS = tuple(field.name for field in fields(OpenEpisode))
 
 
@@ -192,5 +193,5 @@ def _parsed(data: Any) -> OpenLoop:
         if scores is not None and not isinstance(scores, list):
             raise ValueError("brake_probability must be a list or null")
         episodes.append(OpenEpisode(**{**line, "brake_probability": None if scores is None else tuple(scores)}))
-    scenario, contender, radio = names
-    return OpenLoop(scenario, contender, radio, tuple(episodes))
+    scenario, contender, radio, made_with = names
+    return OpenLoop(scenario, contender, radio, tuple(episodes), made_with)

@@ -18,6 +18,7 @@ from baselines.paper.orders import Order, orders
 from baselines.paper.plots import robustness_plot, safety_plot
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import Scores, spoken
+from baselines.rows import ROWS as LEARNED
 from cad_env.files import replace_file
 
 RESULTS, NUMBERS, IMAGES = "results.md", "results.json", "img"
@@ -87,12 +88,17 @@ def found_in(run: Run) -> Findings:
         for value, swept in values.items():
             for scenario, driven in swept.items():
                 sweeps.setdefault(name, {}).setdefault(scenario, {})[value] = {
-                    who: closed_row(MAIN, scenario, who, {0: records}, run.expert(scenario))
+                    who: closed_row(_own_radio(who), scenario, who, {0: records}, run.expert(scenario))
                     for who, records in driven.items()
                 }
     scenes = dict.fromkeys([*scores, *(scenario for scenarios in closed.values() for scenario in scenarios)])
     judged = [bar for scene in scenes for bar in bars(scene, _of_scene(closed, scene), scores.get(scene, {}))]
     return Findings(scores, _by_threshold(run), closed, said, sweeps, judged)
+
+
+def _own_radio(contender: str) -> str:
+    """The radio that it learned over, over which it is swept."""
+    return (LEARNED[contender].radio if contender in LEARNED else None) or MAIN
 
 
 def _by_threshold(run: Run) -> dict[str, dict[str, OpenScore]]:
@@ -156,7 +162,9 @@ def _closed_loop(run: Run, findings: Findings) -> str:
         "All rows of a scene drive the same seeds. Rows that share nothing are the same over any radio. McNemar's "
         "exact test is on the successes of the same episodes, the largest p of all training seeds, after Holm "
         "over the rows of a table. Over a radio that `stgraph` was not driven over, rows are compared with its "
-        "episodes over `dsrc`. SCT is success times the share of the expert's time on the same seed."
+        "episodes over `dsrc`. A difference has an interval without width where no episode tells the two rows apart: "
+        "what is known then are the intervals of their rates. SCT is success times the share of the expert's time on "
+        "the same seed."
     )
     for radio, scenarios in findings.closed.items():
         for scenario, rows in scenarios.items():
@@ -216,7 +224,7 @@ def _departures(run: Run, findings: Findings) -> str:
         lines += [
             "The orders in closed-loop success. One holds, or its opposite does, where the Wilson intervals are apart "
             "and the interval of the difference, over training seeds and episodes, leaves zero out; else it is open. "
-            "Holm is over the claims of a scene.",
+            "Holm is over the claims of a scene over a radio.",
             tables.order_table(findings.orders),
         ]
     else:

@@ -117,12 +117,12 @@ def _ratio(over: float | None, under: float | None) -> str:
 def open_table(scores: Mapping[str, OpenScore]) -> str:
     """All rows of a scene in open loop."""
     head = (
-        "row", "radio", "AD (recall)", "EAR (accuracy)", "precision", "F1", "false brakes", "average precision",
-        "AD, training seeds", "EAR, training seeds", "bytes/message", "largest",
+        "row", "radio", "training seeds", "AD (recall)", "EAR (accuracy)", "precision", "F1", "false brakes",
+        "average precision", "AD, training seeds", "EAR, training seeds", "bytes/message", "largest",
     )  # fmt: skip
     rows = [
         [
-            name, score.radio, *(share(getattr(score, what)) for what in
+            name, score.radio, str(score.training_seeds), *(share(getattr(score, what)) for what in
                     ("ad", "ear", "precision", "f1", "false_brake_rate", "average_precision")),
             _spread(score.ad_spread, 1, 3), _spread(score.ear_spread, 1, 3), number(score.bytes_per_message),
             number(score.largest_message),

@@ -11,6 +11,7 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
+from cad_env.config import check_range
 from cad_env.files import replace_file
 from cad_env.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints, Policy
@@ -18,6 +19,7 @@ from cad_env.vector import CADVectorEnv
 from policies.family import Family, Frames
 from policies.saved import ModelError
 
+LOSS = "loss"  # in a checkpoint, beside the tensors of the network and of Adam
 NEEDLESS_COST = 0.1  # failures that a needless brake is as bad as
 
 
@@ -28,6 +30,11 @@ class Recipe:
     batch: int = 96  # frames
     learning_rate: float = 5e-3  # of Adam, at the start of a course; falls to a fiftieth of it by a cosine
     brake_share: float = 0.3  # of every batch; in the recorded frames it is about a tenth
+
+    def __post_init__(self) -> None:
+        check_range("batch", self.batch, 1, 100_000)
+        check_range("learning_rate", self.learning_rate, 1e-8, 1.0)
+        check_range("brake_share", self.brake_share, 0.0, 1.0)
 
 
 def balanced(
@@ -40,6 +47,10 @@ def balanced(
     """
     size = max(round(batch / len(labels)), 1)
     of_brake = round(size * brake_share)
+    if not 0 < of_brake < size:
+        raise ValueError(
+            f"a batch must hold frames of both kinds: of {size} a scenario a share of {brake_share} is {of_brake}"
+        )
     kinds = {name: (np.flatnonzero(of == BRAKE), np.flatnonzero(of != BRAKE)) for name, of in labels.items()}
     for name, (brake, go) in kinds.items():
         if not len(brake) or not len(go):
@@ -120,17 +131,18 @@ def drive(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], advance: Cal
     return episodes
 
 
-def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam) -> None:
-    """Keep the network and Adam's moments, so that a run goes on as if it had not stopped."""
+def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam, loss: float = math.nan) -> None:
+    """Keep the network, Adam's moments and the last loss, so that a run goes on as if it had not stopped."""
     tensors: dict[str, Tensor] = {f"network.{name}": value for name, value in network.state_dict().items()}
+    tensors[LOSS] = torch.tensor(loss, dtype=torch.float64)
     for index, state in optimiser.state_dict()["state"].items():
         tensors |= {f"adam.{index}.{name}": value for name, value in state.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, safetensors.torch.save(tensors))
 
 
-def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam) -> None:
-    """The counterpart of `save_state`; ModelError for a file that is damaged or of another network."""
+def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam) -> float:
+    """The counterpart of `save_state`, gives the loss; ModelError for a file that is damaged or of another network."""
     try:
         tensors = safetensors.torch.load(path.read_bytes())
         network.load_state_dict({n.removeprefix("network."): v for n, v in tensors.items() if n.startswith("network.")})
@@ -140,6 +152,7 @@ def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam) -> N
                 _, index, key = name.split(".")
                 state.setdefault(int(index), {})[key] = value
         optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+        return float(tensors[LOSS])
     except (SafetensorError, ValueError, KeyError, RuntimeError) as error:
         raise ModelError(
             path, f"not a checkpoint of this network ({error}): delete it to train that part anew"

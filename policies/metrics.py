@@ -34,7 +34,7 @@ def worth(rows: Iterable[Row]) -> Worth:
 
 
 class Log:
-    """The file and its rows, each on the disk when it is known. A row torn by a kill is dropped, and made again."""
+    """The file and its rows, each on the disk when it is known. A damaged row is dropped, and made again."""
 
     COLUMNS = (
         "round", "segment", "scenario", "loss", "threshold", "episodes", "collisions", "timeouts", "failures",

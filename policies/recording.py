@@ -96,10 +96,10 @@ def record(
     for start in range(0, len(seeds), SHARD_EPISODES):
         wanted = list(seeds[start : start + SHARD_EPISODES])
         path = folder / f"shard_{start // SHARD_EPISODES:05d}.npz"
+        begun = path.with_suffix(".begun.npz")
         if not path.exists():
-            begun = path.with_suffix(".begun.npz")
             write_shard(path, _completed(begun, made_with, wanted, partial(_drive, envs, driver, mixing)), made_with)
-            begun.unlink(missing_ok=True)
+        begun.unlink(missing_ok=True)
         part = read_shard(path, made_with)
         if part.seed.tolist() != wanted:
             raise ShardError(f"{path}: holds other episodes than this run records; give another folder or delete it")
@@ -142,7 +142,13 @@ def _unlike(recorded: Recording, episode: int) -> ReplayError:
 
 def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driven: Driven) -> Recording:
     """The episodes of a shard, in their order; those that are in the file `begun` are not driven again."""
-    known = [read_shard(begun, made_with)] if begun.exists() else []
+    known: list[Recording] = []
+    if begun.exists():
+        try:
+            known = [read_shard(begun, made_with)]
+        except ShardError:
+            if begun.exists():
+                raise  # else another process has just finished this shard
     there = {seed for part in known for seed in part.seed.tolist()}
     written = time.monotonic()
     for episode in driven([seed for seed in seeds if seed not in there]):

@@ -68,12 +68,16 @@ class Course:
             raise ValueError(f"scenarios must name at least one, each once, got {' '.join(self.scenarios)!r}")
         radio_config(self.radio)
         for name, low, high in (
-            ("seed", 0, 2**31), ("episodes", 1, CORRECTED_SEEDS), ("corrections", 0, 50), ("steps", 3, 10**7),
+            ("seed", 0, 2**31), ("episodes", 1, CORRECTED_SEEDS), ("corrections", 0, 49), ("steps", 3, 10**7),
             ("corrected_episodes", 1, 10_000), ("segments", 1, 100), ("validation", 1, FINAL_SEEDS - VALIDATION_SEEDS),
             ("final_validation", 1, LAST_SEED - FINAL_SEEDS),
         ):  # fmt: skip
             check_range(name, getattr(self, name), low, high)
         check_range("mixing", self.mixing, 0.0, 1.0)
+        if not self.thresholds or len(set(self.thresholds)) < len(self.thresholds):
+            raise ValueError(f"thresholds must be at least one, each once, got {self.thresholds}")
+        for threshold in self.thresholds:
+            check_range("thresholds", threshold, 0.0, 1.0)
         check_range("depth", self.depth, 1, FRAMES)
 
     def steps_of(self, turn: int) -> int:
@@ -121,13 +125,12 @@ class _Workshop:
         return CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio=self.course.radio, depth=self.course.depth, **needs)
 
     def fitted(self, turn: int, segment: int) -> bool:
-        """Whether a segment has its checkpoint, and a row, which has its loss."""
-        return checkpoint(self.folder, turn, segment).exists() and bool(self.log.of(turn, segment, VALIDATED_AT))
+        """Whether a segment has its checkpoint."""
+        return checkpoint(self.folder, turn, segment).exists()
 
     def load(self, turn: int, segment: int) -> float:
         """Go back to the network and the optimiser as they were after a segment; gives its loss."""
-        load_state(checkpoint(self.folder, turn, segment), self.network, self.optimiser)
-        return float(self.log.of(turn, segment, VALIDATED_AT)[0]["loss"])
+        return load_state(checkpoint(self.folder, turn, segment), self.network, self.optimiser)
 
 
 def record_expert(folder: Path, scenario: str, episodes: int, advance: Advance) -> list[Recording]:
@@ -210,7 +213,7 @@ def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
             loss = fit(
                 shop.family, shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance
             )
-            save_state(checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser)
+            save_state(checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser, loss)
         seeds = range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation)
         _validate(shop, shop.log, (turn, segment, VALIDATED_AT), loss, seeds)
 

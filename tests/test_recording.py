@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,6 +131,26 @@ def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
     for name in ("seed", "length", "outcome", "action", "label"):
         np.testing.assert_array_equal(getattr(again, name), getattr(recorded, name), err_msg=name)
     assert [path.name for path in tmp_path.iterdir()] == ["shard_00000.npz"]
+
+
+def test_a_shard_that_another_process_finishes_meanwhile_is_no_error(
+    folder: Path, recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = tmp_path / "shard_00000.begun.npz"
+    begun.write_bytes((folder / "shard_00000.npz").read_bytes())
+    reads = recording.read_shard
+
+    def finished_first(path: Path, made_with: Any) -> Recording:
+        if path == begun:
+            begun.unlink()
+        return reads(path, made_with)
+
+    monkeypatch.setattr(recording, "read_shard", finished_first)
+    again = joined(record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None))
+    np.testing.assert_array_equal(again.action, recorded.action)
+    begun.write_bytes(b"left by a kill between the last two steps")
+    record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None)
+    assert not begun.exists()
 
 
 def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded: Recording) -> None:

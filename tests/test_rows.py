@@ -111,6 +111,6 @@ def test_whoever_sees_only_the_command_learns_which_one_is_dangerous() -> None:
 
 def test_a_checkpoint_of_another_row_is_refused(tmp_path: Path) -> None:
     networks = [course(name)[1].build(course(name)[0].network, 0) for name in ("stgraph", "gat")]
-    save_state(tmp_path / "state", networks[0], torch.optim.Adam(networks[0].parameters()))
+    save_state(tmp_path / "state", networks[0], torch.optim.Adam(networks[0].parameters()), 0.25)
     with pytest.raises(ValueError, match="not a checkpoint of this network"):
         load_state(tmp_path / "state", networks[1], torch.optim.Adam(networks[1].parameters()))

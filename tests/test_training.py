@@ -1,6 +1,7 @@
 """Training: batches are balanced, the loss falls, and a course that was stopped goes on as if it had not been."""
 
 import csv
+import re
 from pathlib import Path
 from typing import Any
 
@@ -80,10 +81,10 @@ def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames
         optimiser = torch.optim.Adam(network.parameters())
         for part in range(2):
             if stop and part:
-                save_state(tmp_path / "state.safetensors", network, optimiser)
+                save_state(tmp_path / "state.safetensors", network, optimiser, 0.25)
                 network = StGraphNet(seed=5)
                 optimiser = torch.optim.Adam(network.parameters())
-                load_state(tmp_path / "state.safetensors", network, optimiser)
+                assert load_state(tmp_path / "state.safetensors", network, optimiser) == 0.25
             rng = np.random.default_rng(part)
             fit(
                 FAMILY,
@@ -179,6 +180,30 @@ def test_a_torn_row_is_driven_again_and_nothing_else_is_done_twice(
     assert (tmp_path / "config.json").read_bytes() == model
 
 
+def test_stopped_in_the_first_scenario_of_a_validation_it_fits_nothing_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(TINY, tmp_path / "whole", lambda work: None)
+    rounds = TINY.corrections + 1
+    last = rounds * TINY.segments  # the validation after the last segment
+    begun: list[range] = []
+
+    def stopping(policy: Policy, envs: CADVectorEnv, seeds: range, advance: Any) -> list[Episode]:
+        begun.append(seeds)
+        if len(begun) == (last - 1) * len(NAMES) + 1:
+            raise StoppedError
+        return drive(policy, envs, seeds, advance)
+
+    monkeypatch.setattr("policies.training.drive", stopping)
+    with pytest.raises(StoppedError):
+        train(TINY, tmp_path / "stopped", lambda work: None)
+    monkeypatch.setattr("policies.training.fit", None)
+    monkeypatch.setattr("policies.training.replay", None)
+    train(TINY, tmp_path / "stopped", lambda work: None)
+    for name in ("metrics.csv", "finalists.csv"):
+        assert (tmp_path / "stopped" / name).read_text() == (tmp_path / "whole" / name).read_text()
+
+
 def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then(tmp_path: Path) -> None:
     log = Log(tmp_path / "metrics.csv")
 
@@ -200,18 +225,40 @@ def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("episodes", 0), ("steps", 1), ("corrections", -1), ("radio", "dsrk"), ("scenarios", ())],
-)
+    [
+        ("episodes", 0), ("steps", 1), ("corrections", -1), ("corrections", 50), ("radio", "dsrk"),
+        ("thresholds", ()), ("thresholds", (0.5, 0.5)),
+    ],
+)  # fmt: skip
 def test_an_impossible_course_is_refused_with_the_name_and_the_value(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"{name}.*{value or ''}"):
+    with pytest.raises(ValueError, match=rf"{name}.* {re.escape(repr(value))}(:|$)"):
         Course(**{name: value})  # type: ignore[arg-type]
+
+
+def test_a_course_of_nothing_or_with_a_threshold_that_is_no_probability_is_refused() -> None:
+    with pytest.raises(ValueError, match="scenarios must name at least one, each once, got ''"):
+        Course(scenarios=())
+    with pytest.raises(ValueError, match=r"thresholds must be a number from 0 to 1, got 1\.5"):
+        Course(thresholds=(0.5, 1.5))
+
+
+@pytest.mark.parametrize(("name", "value"), [("batch", 0), ("learning_rate", -1.0), ("brake_share", 1.5)])
+def test_an_impossible_recipe_is_refused_with_the_name_and_the_value(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be a number .*got {value}"):
+        Recipe(**{name: value})  # type: ignore[arg-type]
+
+
+def test_a_batch_too_small_for_frames_of_both_kinds_is_refused() -> None:
+    labels = {name: np.array([BRAKE, 0, 0]) for name in ("one", "two", "three")}
+    with pytest.raises(ValueError, match="a batch must hold frames of both kinds: of 1 a scenario"):
+        next(balanced(labels, 4, 0.3, np.random.default_rng(0)))
 
 
 def test_a_damaged_checkpoint_is_refused_with_its_name(tmp_path: Path) -> None:
     network = StGraphNet(seed=0)
     optimiser = torch.optim.Adam(network.parameters())
     path = tmp_path / "state.safetensors"
-    save_state(path, network, optimiser)
+    save_state(path, network, optimiser, 0.25)
     whole = path.read_bytes()
     for broken in (b"", whole[:100], whole[:-4], b"not safetensors"):
         path.write_bytes(broken)

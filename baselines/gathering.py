@@ -1,9 +1,10 @@
 """The parts of a reproduction, one a contender, put side by side: the folders that its report is made of."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from baselines.contenders import SHIPPED
 from baselines.grid import grid
@@ -53,11 +54,22 @@ def commands(parts: Sequence[Settings]) -> str:
     return "\n".join(replace(alike, contender=tuple(names)).command() for alike, names in groups.items())
 
 
+def _side_by_side(notes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The settings of each contender in one mapping; where they differ, as `<setting> of <contender>`."""
+    first = next(iter(notes.values()))
+    shared = {name: value for name, value in first.items() if all(note.get(name) == value for note in notes.values())}
+    return shared | {
+        f"{name.removesuffix(f' of {who}')} of {who}": value  # that of a model says so already
+        for who, note in notes.items()
+        for name, value in note.items()
+        if name not in {*shared, "contender", "command"}
+    }
+
+
 def _join(parts: Sequence[Settings], into: Path) -> None:
     """As if all contenders had been scored in one run."""
     whole = replace(parts[0], contender=tuple(part.contender[0] for part in parts), out=into)
-    notes = [read_settings(part.out) for part in parts]
-    settings = {name: value for note in notes for name, value in note.items()}
+    settings = _side_by_side({part.contender[0]: read_settings(part.out) for part in parts})
     settings |= {"contender": list(whole.contender), "command": commands(parts)}
     into.mkdir(parents=True, exist_ok=True)
     replace_file(into / SETTINGS, (json.dumps(settings, indent=2) + "\n").encode())

@@ -97,6 +97,15 @@ def test_what_is_no_measurement_is_refused(tmp_path: Path, text: str) -> None:
         read_open_loop(tmp_path / "x.json")
 
 
+def test_a_measurement_that_does_not_know_its_model_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    write_open_loop(tmp_path / "x.json", LOOP)
+    data = json.loads((tmp_path / "x.json").read_text())
+    del data["made_with"]
+    (tmp_path / "x.json").write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=r"x\.json: it does not say which model .* delete it"):
+        read_open_loop(tmp_path / "x.json")
+
+
 def test_counts_by_hand() -> None:
     assert EPISODE.counts() == (1, 1, 1, 1)
     calm = replace(EPISODE, labels="0000", answers="0000", brake_probability=None)

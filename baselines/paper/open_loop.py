@@ -180,6 +180,8 @@ def read_open_loop(path: Path) -> OpenLoop:
 
 
 def _parsed(data: Any) -> OpenLoop:
+    if isinstance(data, dict) and "episodes" in data and "made_with" not in data:
+        raise ValueError("it does not say which model and settings it is of, as older ones do not: delete it")
     if not isinstance(data, dict) or set(data) != {*NAMES, "episodes"}:
         raise ValueError(f"it must have the keys {', '.join(NAMES)}, episodes")
     names, lines = [data[name] for name in NAMES], data["episodes"]

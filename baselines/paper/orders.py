@@ -23,7 +23,7 @@ class Order:
     worse: str
     success: tuple[Estimate, Estimate]  # of both
     advantage: Estimate  # of the better one
-    adjusted_p: float  # McNemar's after Holm, over the claims of a scenario
+    adjusted_p: float  # McNemar's after Holm, over the claims of a scenario over a radio
     bytes_per_second: tuple[float, float]  # of both
 
     @property

@@ -65,14 +65,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         plan = plan_of(settings)
         claim(plan)
         failures = [] if settings.merge else run(plan, settings.jobs, settings.shard)
+        for what, why in failures:
+            print(f"failed: {what}: {why}", file=sys.stderr)
         if settings.shard is None:
             put_together(plan, settings.command())
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
         return stopped(error)
-    for what, why in failures:
-        print(f"failed: {what}: {why}", file=sys.stderr)
     return 1 if failures else 0
 
 

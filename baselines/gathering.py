@@ -8,23 +8,25 @@ from typing import Any
 
 from baselines.contenders import SHIPPED
 from baselines.grid import grid
-from baselines.paper.open_loop import open_path
-from baselines.reproduction import Plan, Task, measuring, scoring, table_of, units
+from baselines.reproduction import Plan, Task, answered, measuring, scoring, table_of, units
 from baselines.scoring import identity
 from baselines.settings import Settings
-from baselines.store import SCORES, SETTINGS, Store, difference, key_of, read_records, read_settings
+from baselines.store import EPISODES, SCORES, SETTINGS, Store, difference, key_of, read_records, read_settings
 from cad_env.files import replace_file
 from cad_env.score import scorecards
 
 
 def gather(plan: Plan) -> int:
-    """Fill closed/ and sweeps/ with all that is finished; gives how many parts, of open loop too, are not."""
+    """Fill closed/ and sweeps/ with all that is finished; gives how many parts, of open loop too, are not.
+
+    ValueError for open-loop answers of another model than the one that is there now.
+    """
     tables: dict[str, list[Task]] = {}
     lacking = 0
     for unit in sorted(units(plan), key=lambda unit: plan.rows.index(unit[0])):
         for task in measuring(plan, unit):
             if task.stage == "open":
-                lacking += not open_path(plan.out, task.seed, task.what, task.row).exists()
+                lacking += not answered(plan, task)
             else:
                 tables.setdefault(table_of(task), []).append(task)
     for name, tasks in tables.items():
@@ -33,6 +35,9 @@ def gather(plan: Plan) -> int:
         lacking += len(parts) - len(finished)
         if finished:
             _join(finished, plan.out / name)
+        elif any((part.out / SCORES).exists() for part in parts):
+            for file in (EPISODES, SETTINGS, SCORES):  # copies of what other models did; the parts themselves stay
+                (plan.out / name / file).unlink(missing_ok=True)
     return lacking
 
 

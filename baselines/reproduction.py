@@ -168,18 +168,30 @@ def _train(plan: Plan, task: Task, advance: Advance) -> None:
     learn(lesson, course_of(ROWS[task.row], task.seed, plan.budget()), advance)
 
 
-def _open(plan: Plan, task: Task, advance: Advance) -> None:
+def answered(plan: Plan, task: Task) -> bool:
+    """Whether the answers of a task of stage open are there; ValueError for those of another model or version."""
     from baselines.scoring import digest_of
 
     path = open_path(plan.out, task.seed, task.what, task.row)
-    settings = plan.settings(task.row, task.seed, plan.out, radio=_own_radio(task.row), episodes=plan.preset.open_loop)
-    made_with = digest_of(settings)
     if not path.exists():
-        seeds = range(FIRST_SEED, FIRST_SEED + plan.preset.open_loop)
-        found = measure(contender_named(task.row), settings, task.what, seeds)
-        write_open_loop(path, replace(found, made_with=made_with))
-    elif read_open_loop(path).made_with != made_with:
+        return False
+    if read_open_loop(path).made_with != digest_of(_asking(plan, task)):
         raise ValueError(f"{path} is of another model or another version of the scenes: delete it")
+    return True
+
+
+def _asking(plan: Plan, task: Task) -> Settings:
+    return plan.settings(task.row, task.seed, plan.out, radio=_own_radio(task.row), episodes=plan.preset.open_loop)
+
+
+def _open(plan: Plan, task: Task, advance: Advance) -> None:
+    from baselines.scoring import digest_of
+
+    if not answered(plan, task):
+        settings, seeds = _asking(plan, task), range(FIRST_SEED, FIRST_SEED + plan.preset.open_loop)
+        found = measure(contender_named(task.row), settings, task.what, seeds)
+        path = open_path(plan.out, task.seed, task.what, task.row)
+        write_open_loop(path, replace(found, made_with=digest_of(settings)))
     advance(EPISODE * plan.preset.open_loop)
 
 

@@ -57,6 +57,10 @@ class Family(Protocol):
     def config_type(self) -> type:
         """The frozen, checked dataclass of its knobs: what config.json holds of it."""
 
+    @property
+    def kept_as(self) -> type | None:
+        """The dataclass of its frames, of arrays and numbers, if they are dearer to make than to keep on the disk."""
+
     def build(self, config: Any, seed: int) -> nn.Module:
         """A new network whose `config` attribute is the given one; `seed` is the only source of its first weights."""
 

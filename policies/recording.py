@@ -92,7 +92,7 @@ def record(
     has ended of the next one is kept every second. Raises ShardError for a shard that is damaged or of other episodes.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    made_with, parts = _made_with(envs.ensemble.simulations[0].setup), []
+    made_with, parts = scenes_of(envs.ensemble.simulations[0].setup), []
     for start in range(0, len(seeds), SHARD_EPISODES):
         wanted = list(seeds[start : start + SHARD_EPISODES])
         path = folder / f"shard_{start // SHARD_EPISODES:05d}.npz"
@@ -206,7 +206,7 @@ def _play(envs: CADVectorEnv, seeds: Sequence[int], decide: Callable[[Ints, Ints
             yield going.pop(place), int(ensemble.outcomes[place])
 
 
-def _made_with(setup: Setup) -> dict[str, Any]:
+def scenes_of(setup: Setup) -> dict[str, Any]:
     """All that an episode depends on beside its seed and its decisions: who senses and sends what is not among it."""
     ranges = {name: list(value) if isinstance(value, tuple) else value for name, value in setup.ranges.items()}
     return {

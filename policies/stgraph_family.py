@@ -87,6 +87,7 @@ class StGraphFamily:
 
     name: str = "stgraph"
     config_type: type = StGraphConfig
+    kept_as: type | None = None  # replayed faster than they are worth keeping
 
     def build(self, config: StGraphConfig, seed: int) -> nn.Module:
         """A new network."""

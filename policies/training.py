@@ -21,8 +21,9 @@ from cad_env.types import FRAMES
 from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, drive, fit, load_state, save_state
 from policies.family import Family, Frames
+from policies.kept_frames import kept
 from policies.metrics import Log, summary
-from policies.recording import Recording, record, replay
+from policies.recording import Recording, record, replay, scenes_of
 from policies.saved import Families, SavedModel, load_model, paper_only, save_model
 from policies.stgraph import StGraphConfig
 
@@ -177,12 +178,26 @@ def _learn_of(shop: _Workshop, turn: int, frames: dict[str, Frames]) -> None:
     for name in shop.course.scenarios:
         envs, parts = shop.replayed(name), []
         for recorded in _recorded(shop, turn, name):
-            parts.append(shop.family.frames(*replay(recorded, envs, shop.family.look)))
+            parts.append(_frames(shop, turn, envs, recorded))
             shop.advance(REPLAYED_COST * len(recorded))
         before = [frames.pop(name)] if name in frames else []
         first, *others = [*before, *parts]
         del before, parts
         frames[name] = first.joined(others) if others else first
+
+
+def _frames(shop: _Workshop, turn: int, envs: CADVectorEnv, recorded: Recording) -> Frames:
+    """What the network is to learn from; of the expert's episodes, which all training seeds share, it may be kept."""
+
+    def replayed() -> Frames:
+        return shop.family.frames(*replay(recorded, envs, shop.family.look))
+
+    if turn > 0:
+        return replayed()
+    setup, course = envs.ensemble.simulations[0].setup, shop.course
+    network = {"family": course.family, "network": asdict(course.network)}
+    made_with = {**scenes_of(setup), "radio": course.radio, "depth": course.depth, **network}
+    return kept(shop.recordings / setup.scenario / "frames", made_with, shop.family, recorded, replayed)
 
 
 def _recorded(shop: _Workshop, turn: int, scenario: str) -> list[Recording]:

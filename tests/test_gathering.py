@@ -20,7 +20,7 @@ from evaluate import parsed
 @pytest.fixture
 def plan(tmp_path: Path) -> Plan:
     """All rows; the models cannot be loaded, but only a digest of them is noted."""
-    full = reproduce.plan_of(reproduce.ReproduceSettings(preset="full", out=tmp_path / "run"))
+    full: Plan = reproduce.plan_of(reproduce.ReproduceSettings(preset="full", out=tmp_path / "run"))
     plan = replace(full, scenarios=("left_turn",), preset=replace(full.preset, seeds=(0, 1), scored=2, swept=1))
     _write_models(plan, "learned")
     return plan
@@ -80,4 +80,5 @@ def test_a_table_of_models_that_are_replaced_is_withdrawn(plan: Plan, tables: di
     assert set(run.closed["dsrc"]["left_turn"]) == rules
     assert not run.closed["ideal"]
     assert not run.sweeps
+    assert set(run.commands) == {"closed/dsrc/0"}
     assert all((part.out / EPISODES).exists() for parts in tables.values() for part in parts)

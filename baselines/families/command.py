@@ -92,6 +92,7 @@ class CommandFamily:
 
     name: str = "command"
     config_type: type = CommandConfig
+    kept_as: type | None = None
 
     def build(self, config: CommandConfig, seed: int) -> nn.Module:
         """A new network."""

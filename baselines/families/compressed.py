@@ -204,6 +204,7 @@ class CompressedFamily:
 
     name: str = "compressed"
     config_type: type = CompressedConfig
+    kept_as: type | None = CloudFrames
 
     def build(self, config: CompressedConfig, seed: int) -> nn.Module:
         """A new network."""

@@ -91,6 +91,7 @@ class PointTransformerFamily:
 
     name: str = "point_transformer"
     config_type: type = PointTransformerConfig
+    kept_as: type | None = MergedFrames
 
     def build(self, config: PointTransformerConfig, seed: int) -> nn.Module:
         """A new network."""

@@ -35,29 +35,34 @@ class Recipe:
         check_range("batch", self.batch, 1, 100_000)
         check_range("learning_rate", self.learning_rate, 1e-8, 1.0)
         check_range("brake_share", self.brake_share, 0.0, 1.0)
+        self.of_each(1)
+
+    def of_each(self, scenarios: int) -> tuple[int, int]:
+        """Frames of every scenario in a batch: braking, going. ValueError if there are none of either."""
+        size = max(round(self.batch / scenarios), 1)
+        brake = round(size * self.brake_share)
+        if not 0 < brake < size:
+            raise ValueError(
+                f"batch={self.batch} with brake_share={self.brake_share} must hold frames of both kinds of every "
+                f"scenario, of which there are {scenarios}: {brake} of {size} would brake"
+            )
+        return brake, size - brake
 
 
-def balanced(
-    labels: Mapping[str, Ints], batch: int, brake_share: float, rng: np.random.Generator
-) -> Iterator[dict[str, Ints]]:
+def balanced(labels: Mapping[str, Ints], recipe: Recipe, rng: np.random.Generator) -> Iterator[dict[str, Ints]]:
     """Endless batches of frame numbers: equally many of every scenario, a fixed share of them with the expert braking.
 
     Without the share most frames say "go", and the clone learns to; without the balance it learns the scenario whose
-    episodes are long. `batch` is rounded to a multiple of the scenarios.
+    episodes are long. The batch is rounded to a multiple of the scenarios.
     """
-    size = max(round(batch / len(labels)), 1)
-    of_brake = round(size * brake_share)
-    if not 0 < of_brake < size:
-        raise ValueError(
-            f"a batch must hold frames of both kinds: of {size} a scenario a share of {brake_share} is {of_brake}"
-        )
+    of_brake, of_go = recipe.of_each(len(labels))
     kinds = {name: (np.flatnonzero(of == BRAKE), np.flatnonzero(of != BRAKE)) for name, of in labels.items()}
     for name, (brake, go) in kinds.items():
         if not len(brake) or not len(go):
             raise ValueError(f"the demonstrations of {name} must hold frames of both kinds: record more episodes")
     while True:
         yield {
-            name: np.concatenate([rng.choice(brake, of_brake), rng.choice(go, size - of_brake)])
+            name: np.concatenate([rng.choice(brake, of_brake), rng.choice(go, of_go)])
             for name, (brake, go) in kinds.items()
         }
 
@@ -78,7 +83,7 @@ def fit(
     One cosine goes over all rounds: a rate that rises again with every round costs precision that is not regained.
     """
     network.train()
-    batches = balanced({name: of.label for name, of in frames.items()}, recipe.batch, recipe.brake_share, rng)
+    batches = balanced({name: of.label for name, of in frames.items()}, recipe, rng)
     losses = []
     for step in steps:
         for group in optimiser.param_groups:

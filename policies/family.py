@@ -22,10 +22,6 @@ class Frames(Protocol):
     """F labelled frames of whole episodes, in a form that takes little memory."""
 
     @property
-    def seed(self) -> Ints:
-        """(F,) int64 of the episode."""
-
-    @property
     def label(self) -> Ints:
         """(F,) int8 what the expert would do."""
 
@@ -73,10 +69,13 @@ class Family(Protocol):
     def replayed(self, network: nn.Module) -> dict[str, Any]:
         """The options of an environment to replay in: as those of `environment`, without what `look` does not read."""
 
+    def looked_with(self, config: Any) -> dict[str, Any]:
+        """The knobs that `look` and `replayed` read: networks that agree on them learn from the same frames."""
+
     def look(self, simulation: Simulation, observation: Observation) -> Any:
         """What is kept of the frame that is being decided on; it must not depend on the network's weights."""
 
-    def frames(self, looks: Sequence[Any], labels: Sequence[int], seeds: Sequence[int]) -> Frames:
+    def frames(self, looks: Sequence[Any], labels: Sequence[int]) -> Frames:
         """What was looked at, with the expert's labels, as one record."""
 
     def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:

@@ -108,10 +108,10 @@ def record(
     return parts
 
 
-def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[Any], list[int], list[int]]:
+def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[Any], list[int]]:
     """Drive the episodes as they were driven, in whatever is sensed and shared in `envs`.
 
-    What was looked at in every frame, the expert's labels (F,) and the seeds (F,), an episode after another.
+    What was looked at in every frame and the expert's labels (F,), an episode after another.
     Raises ReplayError for an episode that does not end as it did.
     """
     looks: list[list[Any]] = [[] for _ in recorded.seed]
@@ -132,8 +132,7 @@ def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[An
     length = np.array([len(of) for of in looks])
     if unlike := np.flatnonzero((outcome != recorded.outcome) | (length != recorded.length)).tolist():
         raise _unlike(recorded, unlike[0])
-    seeds = np.repeat(recorded.seed, recorded.length)
-    return [seen for of in looks for seen in of], recorded.label.tolist(), seeds.tolist()
+    return [seen for of in looks for seen in of], recorded.label.tolist()
 
 
 def _unlike(recorded: Recording, episode: int) -> ReplayError:

@@ -15,7 +15,7 @@ from policies.stgraph import StGraphConfig, StGraphNet
 
 SLOTS = OBSERVED_TRACKS * FRAMES
 CENTIMETRE = np.float32(0.01)  # m; as fine as messages carry positions, and much finer than the sensors
-_PARTS = ("seed", "label", "command", "ego", "kind", "first_node", "nodes")
+_PARTS = ("label", "command", "ego", "kind", "first_node", "nodes")
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,6 @@ class GraphFrames:
     nodes takes 0.8 kB. Parts are never copied together, which would take the memory twice.
     """
 
-    seed: Ints  # (F,) int64 of the episode
     label: Ints  # (F,) int8 what the expert would do
     command: Ints  # (F, 6) int8
     ego: Floats  # (F, 4) float32
@@ -101,6 +100,10 @@ class StGraphFamily:
         """The same."""
         return self.environment(network)
 
+    def looked_with(self, config: StGraphConfig) -> dict[str, Any]:
+        """None."""
+        return {}
+
     def look(self, simulation: Simulation, observation: Observation) -> Nodes:
         """The nodes of the observed graph."""
         slot = np.flatnonzero(observation["mask"].reshape(-1))
@@ -108,10 +111,9 @@ class StGraphFamily:
         rounded = np.rint(position / CENTIMETRE).astype(np.int16)
         return Nodes(slot.astype(np.uint8), rounded, *(observation[name] for name in ("command", "ego", "kind")))
 
-    def frames(self, looks: Sequence[Nodes], labels: Sequence[int], seeds: Sequence[int]) -> GraphFrames:
+    def frames(self, looks: Sequence[Nodes], labels: Sequence[int]) -> GraphFrames:
         """All graphs in one record."""
         return GraphFrames(
-            seed=np.array(seeds, np.int64),
             label=np.array(labels, np.int8),
             command=np.array([seen.command for seen in looks], np.int8),
             ego=np.array([seen.ego for seen in looks], np.float32),

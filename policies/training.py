@@ -21,9 +21,9 @@ from cad_env.types import FRAMES
 from cad_env.vector import CADVectorEnv
 from policies.cloning import Recipe, drive, fit, load_state, save_state
 from policies.family import Family, Frames
-from policies.kept_frames import kept
+from policies.kept_frames import frames_of
 from policies.metrics import Log, summary
-from policies.recording import Recording, record, replay, scenes_of
+from policies.recording import Recording, record
 from policies.saved import Families, SavedModel, load_model, paper_only, save_model
 from policies.stgraph import StGraphConfig
 
@@ -80,6 +80,7 @@ class Course:
         for threshold in self.thresholds:
             check_range("thresholds", threshold, 0.0, 1.0)
         check_range("depth", self.depth, 1, FRAMES)
+        self.recipe.of_each(len(self.scenarios))
 
     def steps_of(self, turn: int) -> int:
         """Optimiser steps of a round, a multiple of its segments."""
@@ -109,6 +110,11 @@ class _Workshop:
     log: Log  # of every checkpoint
     finals: Log  # of the best, at every threshold
     advance: Advance
+
+    @property
+    def corrections(self) -> Path:
+        """Where the episodes are that the network drove to be corrected."""
+        return self.folder / "corrections"
 
     def driven(self, episodes: int) -> None:
         """Tell of episodes that the network drove."""
@@ -177,27 +183,14 @@ def _learn_of(shop: _Workshop, turn: int, frames: dict[str, Frames]) -> None:
     """Add the frames of a round, of every scenario, as the network meets them."""
     for name in shop.course.scenarios:
         envs, parts = shop.replayed(name), []
+        folder = (shop.corrections if turn else shop.recordings) / name / "frames"
         for recorded in _recorded(shop, turn, name):
-            parts.append(_frames(shop, turn, envs, recorded))
+            parts.append(frames_of(folder, recorded, envs, shop.family, shop.network))
             shop.advance(REPLAYED_COST * len(recorded))
         before = [frames.pop(name)] if name in frames else []
         first, *others = [*before, *parts]
         del before, parts
         frames[name] = first.joined(others) if others else first
-
-
-def _frames(shop: _Workshop, turn: int, envs: CADVectorEnv, recorded: Recording) -> Frames:
-    """What the network is to learn from; of the expert's episodes, which all training seeds share, it may be kept."""
-
-    def replayed() -> Frames:
-        return shop.family.frames(*replay(recorded, envs, shop.family.look))
-
-    if turn > 0:
-        return replayed()
-    setup, course = envs.ensemble.simulations[0].setup, shop.course
-    network = {"family": course.family, "network": asdict(course.network)}
-    made_with = {**scenes_of(setup), "radio": course.radio, "depth": course.depth, **network}
-    return kept(shop.recordings / setup.scenario / "frames", made_with, shop.family, recorded, replayed)
 
 
 def _recorded(shop: _Workshop, turn: int, scenario: str) -> list[Recording]:
@@ -207,7 +200,7 @@ def _recorded(shop: _Workshop, turn: int, scenario: str) -> list[Recording]:
         return record_expert(shop.recordings, scenario, course.episodes, lambda done: None)
     first = CORRECTED_SEEDS + turn * 10_000
     seeds = range(first, first + course.corrected_episodes)
-    shards = shop.folder / "corrections" / scenario / f"round_{turn}"
+    shards = shop.corrections / scenario / f"round_{turn}"
     driver = shop.family.driver(shop.network, 0.5)
     return record(shards, shop.envs(scenario), driver, seeds, shop.driven, course.mixing**turn)
 

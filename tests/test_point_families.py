@@ -31,7 +31,7 @@ def looked_at(family: Family, envs: CADVectorEnv) -> dict[str, Any]:
     """The batch of training for the same frames."""
     scenes = enumerate(envs.ensemble.simulations)
     looks = [family.look(simulation, envs.ensemble.observation(place)) for place, simulation in scenes]
-    return family.frames(looks, [0, 1], [3, 4]).batch(np.arange(2))
+    return family.frames(looks, [0, 1]).batch(np.arange(2))
 
 
 @pytest.mark.parametrize("radio", ["ideal", "none"])

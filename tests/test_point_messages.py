@@ -75,7 +75,7 @@ def looked(vehicles: int, points: int, room: int = 8) -> Seen:
 
 def test_frames_give_back_the_clouds_that_were_looked_at() -> None:
     looks = [looked(1, 4), looked(3, 0), looked(2, 6)]
-    frames = CloudFrames(**record_of(looks, [0, 1, 0], [5, 5, 6], vehicles=3))
+    frames = CloudFrames(**record_of(looks, [0, 1, 0], vehicles=3))
     assert len(frames) == 3
     numbers = np.array([2, 1, 2])
     batch = frames.batch(numbers)
@@ -92,9 +92,9 @@ def test_frames_give_back_the_clouds_that_were_looked_at() -> None:
 
 
 def test_joined_frames_are_these_and_then_the_others() -> None:
-    parts = [CloudFrames(**record_of([looked(2, 3), looked(1, 5)], [0, 1], [seed] * 2, 2)) for seed in (1, 2, 3)]
+    parts = [CloudFrames(**record_of([looked(2, 3), looked(1, 5)], [0, 1], 2)) for _ in range(3)]
     whole = parts[0].joined(parts[1:])
-    assert whole.seed.tolist() == [1, 1, 2, 2, 3, 3]
+    assert whole.label.tolist() == [0, 1] * 3
     for p, part in enumerate(parts):
         one, all_of_them = part.batch(np.arange(2)), whole.batch(np.arange(2) + 2 * p)
         assert all(np.array_equal(one[name], all_of_them[name]) for name in one)
@@ -104,7 +104,7 @@ def test_a_merged_frame_reads_as_the_observation_did() -> None:
     cloud, mask = np.zeros((16, 3), np.float32), np.zeros(16, np.int8)
     cloud[:7], mask[:7] = RNG.integers(-9000, 9000, (7, 3)) / 100, 1
     observation = {"cloud": cloud, "cloud_mask": mask, "command": np.eye(6, dtype=np.int8)[0], "ego": np.zeros(4)}
-    frames = POINT_TRANSFORMER.frames([POINT_TRANSFORMER.look(None, observation)] * 2, [0, 1], [1, 1])  # type: ignore[arg-type]
+    frames = POINT_TRANSFORMER.frames([POINT_TRANSFORMER.look(None, observation)] * 2, [0, 1])  # type: ignore[arg-type]
     batch = frames.batch(np.array([1]))
     np.testing.assert_allclose(batch["cloud"][0], cloud, atol=1e-5)
     assert batch["cloud_mask"][0].tolist() == mask.tolist()
@@ -112,6 +112,6 @@ def test_a_merged_frame_reads_as_the_observation_did() -> None:
 
 
 def test_sixty_thousand_frames_take_less_than_three_hundred_megabytes() -> None:
-    frames = CloudFrames(**record_of([looked(5, 124, 128)] * 100, [0] * 100, [0] * 100, 5))
+    frames = CloudFrames(**record_of([looked(5, 124, 128)] * 100, [0] * 100, 5))
     size = sum(part.nbytes for part in vars(frames).values() if isinstance(part, np.ndarray))
     assert size * 600 < 300e6

@@ -42,7 +42,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Frames]:
 
 def test_every_scenario_has_its_share_of_a_batch_and_a_third_of_it_brakes() -> None:
     labels = {"long": np.array([BRAKE] * 5 + [0] * 95), "short": np.array([0] * 8 + [BRAKE])}
-    batches = balanced(labels, 60, 0.3, np.random.default_rng(0))
+    batches = balanced(labels, Recipe(60, brake_share=0.3), np.random.default_rng(0))
     for _ in range(20):
         for name, chosen in next(batches).items():
             assert len(chosen) == 30
@@ -52,7 +52,7 @@ def test_every_scenario_has_its_share_of_a_batch_and_a_third_of_it_brakes() -> N
 def test_a_scenario_with_frames_of_one_kind_cannot_be_balanced() -> None:
     labels = {"mixed": np.arange(10) % 2, "calm": np.zeros(10)}
     with pytest.raises(ValueError, match="calm must hold frames of both kinds"):
-        next(balanced(labels, 4, 0.5, np.random.default_rng(0)))
+        next(balanced(labels, Recipe(4, brake_share=0.5), np.random.default_rng(0)))
 
 
 def test_the_loss_falls(frames: dict[str, Frames]) -> None:
@@ -173,7 +173,7 @@ def test_a_torn_row_is_driven_again_and_nothing_else_is_done_twice(
 
     monkeypatch.setattr("policies.training.drive", watched)
     monkeypatch.setattr("policies.training.fit", None)
-    monkeypatch.setattr("policies.training.replay", None)
+    monkeypatch.setattr("policies.kept_frames.replay", None)
     train(TINY, tmp_path, lambda work: None)
     assert len(driven) == 1
     assert (tmp_path / torn).read_text() == before
@@ -198,7 +198,7 @@ def test_stopped_in_the_first_scenario_of_a_validation_it_fits_nothing_again(
     with pytest.raises(StoppedError):
         train(TINY, tmp_path / "stopped", lambda work: None)
     monkeypatch.setattr("policies.training.fit", None)
-    monkeypatch.setattr("policies.training.replay", None)
+    monkeypatch.setattr("policies.kept_frames.replay", None)
     train(TINY, tmp_path / "stopped", lambda work: None)
     for name in ("metrics.csv", "finalists.csv"):
         assert (tmp_path / "stopped" / name).read_text() == (tmp_path / "whole" / name).read_text()
@@ -248,10 +248,12 @@ def test_an_impossible_recipe_is_refused_with_the_name_and_the_value(name: str, 
         Recipe(**{name: value})  # type: ignore[arg-type]
 
 
-def test_a_batch_too_small_for_frames_of_both_kinds_is_refused() -> None:
-    labels = {name: np.array([BRAKE, 0, 0]) for name in ("one", "two", "three")}
-    with pytest.raises(ValueError, match="a batch must hold frames of both kinds: of 1 a scenario"):
-        next(balanced(labels, 4, 0.3, np.random.default_rng(0)))
+@pytest.mark.parametrize(("batch", "share", "scenarios"), [(4, 0.3, 3), (96, 0.0, 3), (96, 1.0, 3), (1, 0.5, 1)])
+def test_a_batch_without_frames_of_both_kinds_is_refused_before_anything_is_recorded(
+    batch: int, share: float, scenarios: int
+) -> None:
+    with pytest.raises(ValueError, match=f"batch={batch} with brake_share={share} must hold frames of both kinds"):
+        Course(scenarios=tuple(SCENARIOS)[:scenarios], recipe=Recipe(batch, brake_share=share))
 
 
 def test_a_damaged_checkpoint_is_refused_with_its_name(tmp_path: Path) -> None:

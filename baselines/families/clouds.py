@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cad_env.types import Floats, Ints, Observation
 
 CENTIMETRES = 100.0
-_PARTS = ("seed", "label", "command", "ego", "pose", "point")
+_PARTS = ("label", "command", "ego", "pose", "point")
 _REACH = 32_767  # cm
 
 
@@ -45,7 +45,6 @@ class CloudFrames:
 
     vehicles: int  # most clouds in a frame
     points: int  # most points in a cloud
-    seed: Ints  # (F,) int64 of the episode
     label: Ints  # (F,) int8 what the expert would do
     command: Ints  # (F, 6) int8
     ego: Floats  # (F, 4) float32
@@ -84,14 +83,13 @@ class CloudFrames:
         return type(self)(self.vehicles, self.points, first_cloud=first_cloud, first_point=first_point, **whole)
 
 
-def record_of(looks: Sequence[Seen], labels: Sequence[int], seeds: Sequence[int], vehicles: int) -> dict[str, Any]:
+def record_of(looks: Sequence[Seen], labels: Sequence[int], vehicles: int) -> dict[str, Any]:
     """The fields of the frames that were looked at, with at most so many vehicles of each."""
     clouds = [cloud for look in looks for cloud in look.clouds[:vehicles]]
     poses = [look.pose[:vehicles] for look in looks]
     return {
         "vehicles": vehicles,
         "points": max((look.room for look in looks), default=0),
-        "seed": np.array(seeds, np.int64),
         "label": np.array(labels, np.int8),
         "command": np.array([look.command for look in looks], np.int8).reshape(len(looks), -1),
         "ego": np.array([look.ego for look in looks], np.float32).reshape(len(looks), -1),

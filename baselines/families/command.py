@@ -51,7 +51,6 @@ class CommandNet(nn.Module):
 class CommandFrames:
     """F labelled commands."""
 
-    seed: Ints  # (F,) int64 of the episode
     label: Ints  # (F,) int8 what the expert would do
     command: Ints  # (F, 6) int8
 
@@ -67,7 +66,7 @@ class CommandFrames:
         """These frames and then the others'."""
         parts = [self, *others]
         return CommandFrames(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("seed", "label", "command"))
+            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("label", "command"))
         )
 
 
@@ -106,13 +105,17 @@ class CommandFamily:
         """The same."""
         return self.environment(network)
 
+    def looked_with(self, config: CommandConfig) -> dict[str, Any]:
+        """None."""
+        return {}
+
     def look(self, simulation: Simulation, observation: Observation) -> Ints:
         """The command, (6,)."""
         return observation["command"]
 
-    def frames(self, looks: Sequence[Ints], labels: Sequence[int], seeds: Sequence[int]) -> CommandFrames:
+    def frames(self, looks: Sequence[Ints], labels: Sequence[int]) -> CommandFrames:
         """All commands in one record."""
-        return CommandFrames(np.array(seeds, np.int64), np.array(labels, np.int8), np.array(looks, np.int8))
+        return CommandFrames(np.array(labels, np.int8), np.array(looks, np.int8))
 
     def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Logits (B, 2) with their gradients."""

@@ -227,6 +227,10 @@ class CompressedFamily:
             )
         return {"cloud": CloudConfig(codec=SizedOnly(network.config), merged=1)}
 
+    def looked_with(self, config: CompressedConfig) -> dict[str, Any]:
+        """What the length of a message depends on."""
+        return {name: getattr(config, name) for name in ("points", "levels", "channels")}
+
     def look(self, simulation: Simulation, observation: Observation) -> Seen:
         """The clouds of the ego and of the nearest others whose messages reach it now.
 
@@ -241,9 +245,9 @@ class CompressedFamily:
         pose = np.stack([relative(other.pose, own.pose) for other in near])
         return seen([cloud.thinned for cloud in near], pose, KEPT, observation)
 
-    def frames(self, looks: Sequence[Seen], labels: Sequence[int], seeds: Sequence[int]) -> CloudFrames:
+    def frames(self, looks: Sequence[Seen], labels: Sequence[int]) -> CloudFrames:
         """All clouds in one record."""
-        return CloudFrames(**record_of(looks, labels, seeds, VEHICLES))
+        return CloudFrames(**record_of(looks, labels, VEHICLES))
 
     def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """End to end, from what all vehicles see."""

@@ -106,14 +106,18 @@ class PointTransformerFamily:
         """The same: what is looked at is what is merged."""
         return self.environment(network)
 
+    def looked_with(self, config: PointTransformerConfig) -> dict[str, Any]:
+        """How many points are merged."""
+        return {"merged": config.merged}
+
     def look(self, simulation: Simulation, observation: Observation) -> Seen:
         """The merged cloud."""
         cloud = observation["cloud"]
         return seen([cloud[observation["cloud_mask"] > 0]], np.zeros((1, 3)), len(cloud), observation)
 
-    def frames(self, looks: Sequence[Seen], labels: Sequence[int], seeds: Sequence[int]) -> MergedFrames:
+    def frames(self, looks: Sequence[Seen], labels: Sequence[int]) -> MergedFrames:
         """All merged clouds in one record."""
-        return MergedFrames(**record_of(looks, labels, seeds, vehicles=1))
+        return MergedFrames(**record_of(looks, labels, vehicles=1))
 
     def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Of the network itself."""

@@ -1,7 +1,7 @@
 """Make every table and plot of the paper's comparison: record, train all rows, score them, sweep, write the report.
 
 python reproduce.py --preset quick                     all rows, one training seed, few episodes: a first look
-python reproduce.py --preset hour                      the same with half as much again of everything
+python reproduce.py --preset hour                      half as many episodes again, and two rounds of corrections
 python reproduce.py --preset full --jobs 2             three training seeds, 500 episodes: overnight on two cores
 python reproduce.py --preset full --shard 2/8          one of eight parts, on machines that share the folder --out
 python reproduce.py --preset full --merge              puts together what the shards have finished

@@ -53,7 +53,7 @@ def write(folder: Path, command: str = "") -> Path:
     findings = found_in(run)
     (folder / IMAGES).mkdir(exist_ok=True)
     parts = [
-        _head(command), _beside(findings), _closed_loop(run, findings), _safety(folder / IMAGES, findings),
+        _head(command), _beside(findings), _closed_loop(run, findings), _safety(folder / IMAGES, run, findings),
         _robustness(folder / IMAGES, run, findings), _departures(run, findings), _costs(run), _open_loop(findings),
     ]  # fmt: skip
     numbers = json.dumps(
@@ -125,7 +125,8 @@ def _head(command: str) -> str:
         f"# Results, row by row{made}\n\nRates carry 95 % intervals: Wilson's over the episodes of one training seed "
         "for closed-loop rates, and percentiles of a bootstrap over training seeds and whole episodes for everything "
         "else, because frames at 10 Hz are correlated. Spreads are the least and most among training seeds. "
-        "A dash: there is no such number."
+        "A dash: there is no such number. Give each `evaluate.py` below a folder of its own (`--out`): a folder holds "
+        "one run."
     )
 
 
@@ -179,7 +180,7 @@ def _commands(run: Run, below: str) -> Iterator[str]:
         yield "```\n" + "\n".join(dict.fromkeys(commands)) + "\n```"
 
 
-def _safety(images: Path, findings: Findings) -> str:
+def _safety(images: Path, run: Run, findings: Findings) -> str:
     lines = ["## Safety against bytes on the air"]
     scenes = list(dict.fromkeys(scenario for scenarios in findings.closed.values() for scenario in scenarios))
     if not scenes:
@@ -196,6 +197,8 @@ def _safety(images: Path, findings: Findings) -> str:
         lines.append(f"![{spoken(scenario)}: success and collisions against bytes]({IMAGES}/safety_{scenario}.png)")
         for name, values in sizes.items():
             lines += [f"{spoken(scenario)}, {SWEEPS[name].label}:", tables.sweep_table(values, name)]
+    for name in SIZES:
+        lines += list(_commands(run, f"sweeps/{name}/"))
     absent = [name for name in SIZES if name not in findings.sweeps]
     return "\n\n".join([*lines, *([_missing(f"sweep of {' or '.join(absent)}")] if absent else [])])
 

@@ -32,7 +32,7 @@ from evaluate import parsed, refused, stopped
 
 BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
 NOTE, FAILURES = "reproduce.json", "failures.txt"
-Failure = tuple[str, str]  # what failed, and why, in one line
+Failure = tuple[str, str]  # what failed, and why: a line, or a whole story that begins with it
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         plan = plan_of(settings)
         claim(plan)
         failures = [] if settings.merge else run(plan, settings.jobs, settings.shard)
-        for what, why in failures:
-            print(f"failed: {what}: {why}", file=sys.stderr)
         if settings.shard is None:
             put_together(plan, settings.command())
     except (ValueError, OSError) as error:
@@ -113,7 +111,8 @@ def claim(plan: Any) -> None:
 def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     """Record, then train and measure, a training seed after the other, and sweep; with one progress bar.
 
-    What failed comes back, once for each contender and seed, and is written down with its traceback after every stage.
+    What failed comes back. It is said and, with its traceback, written down after every stage, so that a run that is
+    interrupted has told it.
     A run that is stopped has whole seeds to show.
     """
     from tqdm import tqdm
@@ -136,16 +135,15 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     total = recording + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
     notes = plan.out / (FAILURES if shard is None else FAILURES.replace(".", f"_{shard.replace('/', '_of_')}."))
     with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
-        failures = [
-            (f"record {scenario}", why)
-            for scenario, why in _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
-        ]
-        _note(notes, failures)
+        found = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
+        failures = [(f"record {scenario}", story) for scenario, story in found]
+        _note(notes, failures, failures)
         for name, tasks in stages if not failures else ():
             bar.set_description(name)
-            failures += _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
-            _note(notes, failures)
-    return [(what, why.splitlines()[-1]) for what, why in failures]
+            found = _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
+            failures += found
+            _note(notes, failures, found)
+    return [(what, _reason(story)) for what, story in failures]
 
 
 def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:
@@ -154,15 +152,23 @@ def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:
     return [task for task in tasks if f"train {task.row} seed {task.seed}" not in lost]
 
 
-def _note(path: Path, failures: Sequence[Failure]) -> None:
-    """Keep the whole story of what has failed so far."""
+def _note(path: Path, failures: Sequence[Failure], new: Sequence[Failure]) -> None:
+    """Keep the whole story of what has failed so far, and say in a line each what has failed now."""
+    from tqdm import tqdm
+
     path.unlink(missing_ok=True)
     if failures:
-        path.write_text("\n\n".join(f"{what}\n{why}" for what, why in failures) + "\n")
+        path.write_text("\n\n".join(f"{what}\n{story}" for what, story in failures) + "\n")
+    for what, story in new:
+        tqdm.write(f"failed: {what}: {_reason(story)}", file=sys.stderr)
+
+
+def _reason(story: str) -> str:
+    return story.splitlines()[0]
 
 
 def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) -> list[Failure]:
-    """Do all tasks, side by side; those that failed, with the traceback."""
+    """Do all tasks, side by side; those that failed, with the whole story."""
     from baselines.workers import heard, workers
 
     if not tasks:
@@ -191,11 +197,12 @@ def _perform(plan: Any, task: Any) -> str:
 
 
 def _attempt(act: Callable[[], object]) -> str:
-    """The traceback of what went wrong, or nothing."""
+    """What went wrong, in one line, and its traceback; or nothing."""
     try:
         act()
-    except Exception:  # a row that fails, however it does, must not stop the others
-        return traceback.format_exc()
+    except Exception as error:  # a row that fails, however it does, must not stop the others
+        reason = " ".join(f"{type(error).__name__}: {error}".split())  # those of torch and numba have many lines
+        return f"{reason}\n{traceback.format_exc()}"
     return ""
 
 

@@ -33,7 +33,7 @@ class TrainSettings:
     scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
     row: tuple[str, ...] = ROWS  # which rows of the table (baselines/rows.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
-    radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another one have their own
+    radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
     episodes: int = 1500  # of each scenario, driven by the expert
     corrections: int = 2  # rounds in which the network drives and the expert labels (DAgger)
     mixing: float = 0.0  # share of the decisions that the expert takes in the first of these; of the n-th: to the n
@@ -131,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stopped(error)
     print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
     for each in scoring:
-        if len(scoring) > 1:
+        if len(scoring) > 1 or each.radio != settings.radio:
             print(f"Over the radio {each.radio}:")
         if code := scored(each):
             return code

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -18,6 +19,7 @@ from baselines.rows import ROWS
 from baselines.scoring import drive, identity
 from baselines.settings import Settings
 from baselines.store import difference, read_records
+from baselines.workers import heard
 from cad_env.score import Record
 from evaluate import parsed
 
@@ -208,6 +210,35 @@ def test_a_recording_that_fails_is_told_in_one_line_and_kept_apart_for_each_shar
     assert "Traceback" in (run / "failures_2_of_2.txt").read_text()
     assert reproduce.main([*command, "--shard", "1/2"]) == 1
     assert {path.name for path in run.glob("*.txt")} == {"failures_1_of_2.txt", "failures_2_of_2.txt"}
+
+
+def test_what_failed_is_told_and_kept_though_the_next_stage_is_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
+    run = tmp_path / "run"
+    course = run / "models/seed_0/command-only/course.json"
+    course.parent.mkdir(parents=True)
+    course.write_text("not JSON")
+
+    def interrupted(told: Any) -> list[Any]:
+        if (run / "failures.txt").exists():
+            raise KeyboardInterrupt
+        return heard(told)
+
+    monkeypatch.setattr("baselines.workers.heard", interrupted)
+    assert reproduce.main(["--row", "command-only", "always-go", "--out", str(run)]) == 130
+    assert "failed: train command-only seed 0: ValueError" in capsys.readouterr().err
+    assert "Traceback" in (run / "failures.txt").read_text()
+
+
+def test_a_reason_is_one_line_however_many_its_error_has() -> None:
+    def load() -> None:
+        raise RuntimeError("Error(s) in loading:\n\tMissing key\n\n")
+
+    story = reproduce._attempt(load)
+    assert reproduce._reason(story) == "RuntimeError: Error(s) in loading: Missing key"
+    assert "Traceback" in story
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +12,9 @@ from pathlib import Path
 import pytest
 
 import train
+from baselines.contenders import shipped_models
+from baselines.scoring import opened
+from baselines.spread import runs_of
 from cad_env.scenarios import SCENARIOS
 
 ROOT = Path(__file__).parents[1]
@@ -102,6 +106,17 @@ def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learn
     learned = {name: run.radio for run in other for name in run.contender if name not in train.RULES}
     assert learned == {"compressed": "cv2x", "gat": "dsrc", "raw-points": "ideal"}
     assert len({run.out for run in [*usual, *other]}) == 4
+
+
+@pytest.mark.parametrize("seeds", [(0,), (0, 1)])
+def test_a_row_that_is_added_can_be_scored_beside_an_earlier_run(tmp_path: Path, seeds: tuple[int, ...]) -> None:
+    for rows in (("stgraph",), train.ROWS, ("stgraph-own",)):
+        settings = train.TrainSettings(out=tmp_path / "run", row=rows, seed=seeds, scenario=("left_turn",))
+        for seed in seeds:
+            shutil.copytree(shipped_models("left_turn"), settings.models(seed), dirs_exist_ok=True)
+        for run in settings.scoring():
+            for part in runs_of(run).values() if len(seeds) > 1 else [run]:
+                opened(part)
 
 
 def test_one_scenario_several_or_all_have_folders_of_their_own() -> None:

@@ -32,7 +32,7 @@ from evaluate import parsed, refused, stopped
 
 BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
 NOTE, FAILURES = "reproduce.json", "failures.txt"
-Failure = tuple[str, str]  # what failed, and why: a line, or a whole story that begins with it
+Failure = tuple[str, str]  # what failed, and its whole story, which begins with a line that says why
 
 
 @dataclass(frozen=True)
@@ -112,12 +112,12 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     """Record, then train and measure, a training seed after the other, and sweep; with one progress bar.
 
     What failed comes back. It is said and, with its traceback, written down after every stage, so that a run that is
-    interrupted has told it.
-    A run that is stopped has whole seeds to show.
+    interrupted has told it. A run that is stopped has whole seeds to show.
     """
     from tqdm import tqdm
 
     from baselines import reproduction as of
+    from baselines.grid import shard_of
 
     mine = of.units(plan, shard)
     stages: list[tuple[str, list[Any]]] = []
@@ -133,7 +133,7 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     stages.append(("sweep", sweeps))
     recording = float(plan.preset.episodes * len(plan.scenarios))
     total = recording + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
-    notes = plan.out / (FAILURES if shard is None else FAILURES.replace(".", f"_{shard.replace('/', '_of_')}."))
+    notes = plan.out / (FAILURES if shard is None else "failures_{}_of_{}.txt".format(*shard_of(shard)))
     with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
         found = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
         failures = [(f"record {scenario}", story) for scenario, story in found]
@@ -143,7 +143,7 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
             found = _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
             failures += found
             _note(notes, failures, found)
-    return [(what, _reason(story)) for what, story in failures]
+    return failures
 
 
 def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:

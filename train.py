@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.courses import Budget, Lesson, claim, course_of, learn
-from baselines.rows import row_named
+from baselines.rows import radio_of, row_named
 from baselines.settings import Settings
 from cad_env.config import check_range, radio_config
 from evaluate import parsed, refused, scored, stopped
@@ -111,7 +111,7 @@ class TrainSettings:
     def _rows_by_radio(self) -> dict[str, tuple[str, ...]]:
         found: dict[str, tuple[str, ...]] = {}
         for name in self.row:
-            radio = row_named(name).radio or self.radio
+            radio = radio_of(name, self.radio)
             found[radio] = (*found.get(radio, ()), name)
         return found
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from baselines.contenders import SHIPPED
 from baselines.grid import grid
-from baselines.reproduction import Plan, Task, answered, measuring, scoring, table_of, units
+from baselines.reproduction import Plan, Task, answered, every_unit, measuring, scoring, table_of
 from baselines.scoring import identity
 from baselines.settings import Settings
 from baselines.store import EPISODES, SCORES, SETTINGS, Store, difference, key_of, read_records, read_settings
@@ -23,7 +23,7 @@ def gather(plan: Plan) -> int:
     """
     tables: dict[str, list[Task]] = {}
     lacking = 0
-    for unit in sorted(units(plan), key=lambda unit: plan.rows.index(unit[0])):
+    for unit in every_unit(plan):
         for task in measuring(plan, unit):
             if task.stage == "open":
                 lacking += not answered(plan, task)

@@ -17,7 +17,7 @@ from baselines.paper.folder import ROWS as TABLE
 from baselines.paper.open_loop import FIRST_SEED, measure, open_path, read_open_loop, write_open_loop
 from baselines.paper.sweeps import SweepPoint, points
 from baselines.presets import ENDS, Preset
-from baselines.rows import ROWS
+from baselines.rows import ROWS, radio_of
 from baselines.settings import Settings
 from baselines.store import EPISODES, difference, key_of, read_records, read_settings
 from cad_env.score import Record
@@ -80,24 +80,26 @@ def in_table() -> tuple[str, ...]:
     return tuple(name for name in TABLE if name in CONTENDERS)
 
 
+def every_unit(plan: Plan) -> list[tuple[str, int]]:
+    """Every contender and training seed, as the tables go; one that is not trained comes once."""
+    seeds = plan.preset.seeds
+    return [(name, seed) for name in plan.rows for seed in (seeds if contender_named(name).model else seeds[:1])]
+
+
 def units(plan: Plan, shard: str | None = None) -> list[tuple[str, int]]:
-    """Every contender and training seed, or those of a shard `i/n`; one that is not trained comes once.
+    """The same, or those of a shard `i/n`.
 
     Those that cost most come first, so that processes end at about the same time, and each goes to the shard that has
     least to do so far.
     """
     number, count = (1, 1) if shard is None else shard_of(shard)
-    every = {
-        (name, seed): _work(plan, (name, seed))
-        for name in plan.rows
-        for seed in (plan.preset.seeds if contender_named(name).model else plan.preset.seeds[:1])
-    }
+    work = {unit: _work(plan, unit) for unit in every_unit(plan)}
     shards: list[list[tuple[str, int]]] = [[] for _ in range(count)]
     loads = [0.0] * count
-    for unit in sorted(every, key=lambda unit: -every[unit]):
+    for unit in sorted(work, key=lambda unit: -work[unit]):
         least = loads.index(min(loads))
         shards[least].append(unit)
-        loads[least] += every[unit]
+        loads[least] += work[unit]
     return shards[number - 1]
 
 
@@ -131,11 +133,6 @@ def swept(preset: Preset) -> list[SweepPoint]:
 
 def _is_large(row: str) -> bool:
     return row in ROWS and ROWS[row].shares in LARGE
-
-
-def _own_radio(row: str) -> str:
-    """The radio that carries what a row sends."""
-    return (ROWS[row].radio if row in ROWS else None) or RADIO
 
 
 def work_of(plan: Plan, task: Task) -> float:
@@ -181,7 +178,7 @@ def answered(plan: Plan, task: Task) -> bool:
 
 
 def _asking(plan: Plan, task: Task) -> Settings:
-    return plan.settings(task.row, task.seed, plan.out, radio=_own_radio(task.row), episodes=plan.preset.open_loop)
+    return plan.settings(task.row, task.seed, plan.out, radio=radio_of(task.row, RADIO), episodes=plan.preset.open_loop)
 
 
 def _open(plan: Plan, task: Task, advance: Advance) -> None:
@@ -206,7 +203,7 @@ def scoring(plan: Plan, task: Task) -> Settings:
     if task.stage == "closed":
         return plan.settings(task.row, task.seed, out, radio=task.what)
     point = next(point for point in swept(plan.preset) if point.folder == task.what)
-    options = {"radio": _own_radio(task.row), "episodes": plan.preset.swept, **point.overrides}
+    options = {"radio": radio_of(task.row, RADIO), "episodes": plan.preset.swept, **point.overrides}
     return plan.settings(task.row, task.seed, out, **options)
 
 

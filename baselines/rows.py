@@ -74,3 +74,8 @@ def row_named(name: str) -> Row:
     if name not in ROWS:
         raise ValueError(f"unknown row {name!r}: choose among {', '.join(ROWS)}")
     return ROWS[name]
+
+
+def radio_of(contender: str, usual: str) -> str:
+    """The radio that a contender is asked and driven over: that which it learned over, if its messages need another."""
+    return (ROWS[contender].radio if contender in ROWS else None) or usual

@@ -42,6 +42,7 @@ def test_an_episode_ends_with_its_last_sight_and_the_next_begins_in_the_same_ste
         assert info["TimeLimit.truncated"]
         assert info["episode"]["l"] == 300
         assert not np.array_equal(info["terminal_observation"]["tracks"], seen["tracks"][place])
+    assert scenes.scenes.ensemble.infos(np.ones(2, np.bool_))["seed"].max() < SEEDS
 
 
 def test_seeds_that_judge_are_not_learned_from():

@@ -18,7 +18,7 @@ from baselines.paper.orders import Order, orders
 from baselines.paper.plots import robustness_plot, safety_plot
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import Scores, spoken
-from baselines.rows import ROWS as LEARNED
+from baselines.rows import radio_of
 from cad_env.files import replace_file
 
 RESULTS, NUMBERS, IMAGES = "results.md", "results.json", "img"
@@ -88,17 +88,12 @@ def found_in(run: Run) -> Findings:
         for value, swept in values.items():
             for scenario, driven in swept.items():
                 sweeps.setdefault(name, {}).setdefault(scenario, {})[value] = {
-                    who: closed_row(_own_radio(who), scenario, who, {0: records}, run.expert(scenario))
+                    who: closed_row(radio_of(who, MAIN), scenario, who, {0: records}, run.expert(scenario))
                     for who, records in driven.items()
                 }
     scenes = dict.fromkeys([*scores, *(scenario for scenarios in closed.values() for scenario in scenarios)])
     judged = [bar for scene in scenes for bar in bars(scene, _of_scene(closed, scene), scores.get(scene, {}))]
     return Findings(scores, _by_threshold(run), closed, said, sweeps, judged)
-
-
-def _own_radio(contender: str) -> str:
-    """The radio that it learned over, over which it is swept."""
-    return (LEARNED[contender].radio if contender in LEARNED else None) or MAIN
 
 
 def _by_threshold(run: Run) -> dict[str, dict[str, OpenScore]]:

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 import tyro
 
-from baselines.settings import Settings
+from baselines.evaluation.settings import Settings
 
 if TYPE_CHECKING:
-    from baselines.store import Store
-    from cad_env.score import Scorecard
+    from baselines.evaluation.store import Store
+    from cad_env.scoring.scorecard import Scorecard
 
 INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
 Parsed = TypeVar("Parsed")
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def put_together(words: Sequence[str]) -> int:
     """Merge shards and print the table; ValueError or OSError, one line, for what cannot be merged."""
-    from baselines.merging import Merging, merged  # here, so that --help is quick
+    from baselines.evaluation.merging import Merging, merged  # here, so that --help is quick
 
     merging = parsed(Merging, words)
     show(merged(merging), merging.out)
@@ -76,7 +76,7 @@ def scored(settings: Settings) -> int:
     if len(settings.policy) > 1:
         return scored_by_seed(settings)
     try:
-        from baselines.scoring import completed, opened  # here, so that --help is quick
+        from baselines.evaluation.run import completed, opened  # here, so that --help is quick
 
         store = opened(settings)
     except (ValueError, OSError) as error:
@@ -100,8 +100,8 @@ def scored(settings: Settings) -> int:
 
 def scored_by_seed(settings: Settings) -> int:
     """The same for models of several training seeds: a run for each, then one table of all."""
-    from baselines.scoring import score
-    from baselines.spread import runs_of, spread_table, spreads
+    from baselines.evaluation.run import score
+    from baselines.evaluation.training_seeds import runs_of, spread_table, spreads
 
     runs = runs_of(settings)
     for run in runs.values():
@@ -115,7 +115,7 @@ def scored_by_seed(settings: Settings) -> int:
 
 def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
     """Print the table."""
-    from cad_env.score import table
+    from cad_env.scoring.scorecard import table
 
     print(table(rows))
     print(f"The episodes and the scores are in {folder}.")
@@ -124,8 +124,8 @@ def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
 def explain(store: "Store", settings: Settings) -> None:
     """Write what helps to understand the scores: animations of episodes, and the report."""
     if settings.gif:
-        from baselines.gifs import write_gifs  # here, because only this draws
-        from baselines.store import GIFS
+        from baselines.evaluation.gifs import write_gifs  # here, because only this draws
+        from baselines.evaluation.store import GIFS
 
         write_gifs(settings, store.records.values(), settings.folder() / GIFS, settings.gif)
     if settings.report:
@@ -134,7 +134,7 @@ def explain(store: "Store", settings: Settings) -> None:
 
 def report(folder: Path) -> None:
     """Write the report."""
-    from baselines.report import write_report  # here, because only this needs matplotlib
+    from baselines.evaluation.report import write_report  # here, because only this needs matplotlib
 
     print(f"The tables and plots to read: {write_report(folder)}")
 

@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.presets import PRESETS
+from baselines.paper.presets import PRESETS
 from cad_env.config import check_range
 from evaluate import parsed, refused, stopped
 
@@ -39,7 +39,7 @@ Failure = tuple[str, str]  # what failed, and its whole story, which begins with
 class ReproduceSettings:
     """Train and score every row of the paper's tables, and write results.md, results.json and plots."""
 
-    preset: str = "quick"  # quick, hour or full: how many seeds, steps and episodes (baselines/presets.py)
+    preset: str = "quick"  # quick, hour or full: how many seeds, steps and episodes (baselines/paper/presets.py)
     out: Path = Path("runs/paper")  # folder of everything
     jobs: int = 2  # processes
     shard: str | None = None  # i/n: only the i-th of n parts; the last step is a run without it, or with --merge
@@ -76,8 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def plan_of(settings: ReproduceSettings) -> Any:
     """What to do; ValueError for rows or shards that do not exist."""
-    from baselines.grid import shard_of
-    from baselines.reproduction import Plan, in_table
+    from baselines.evaluation.grid import shard_of
+    from baselines.paper.tasks import Plan, in_table
     from cad_env.scenarios import SCENARIOS
 
     if settings.shard is not None:
@@ -90,9 +90,9 @@ def plan_of(settings: ReproduceSettings) -> Any:
 
 def claim(plan: Any) -> None:
     """Note in the folder what it is for; ValueError if it holds a run of another preset or version of the scenes."""
-    from baselines.store import difference
-    from cad_env.compiled import version
+    from baselines.evaluation.store import difference
     from cad_env.files import replace_file
+    from cad_env.numerics.jit import version
 
     wanted = json.loads(json.dumps({**asdict(plan.preset), "version of cad_env": version()}))
     path = plan.out / NOTE
@@ -116,8 +116,8 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     """
     from tqdm import tqdm
 
-    from baselines import reproduction as of
-    from baselines.grid import shard_of
+    from baselines.evaluation.grid import shard_of
+    from baselines.paper import tasks as of
 
     mine = of.units(plan, shard)
     stages: list[tuple[str, list[Any]]] = []
@@ -182,15 +182,15 @@ def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) 
 
 
 def _record(plan: Any, scenario: str) -> str:
-    from baselines.reproduction import RECORDING
+    from baselines.paper.tasks import RECORDING
     from baselines.workers import tell
-    from policies.training import record_expert
+    from policies.training.dagger import record_expert
 
     return _attempt(lambda: record_expert(plan.out / RECORDING, scenario, plan.preset.episodes, tell))
 
 
 def _perform(plan: Any, task: Any) -> str:
-    from baselines.reproduction import perform
+    from baselines.paper.tasks import perform
     from baselines.workers import tell
 
     return _attempt(lambda: perform(plan, task, tell))
@@ -208,7 +208,7 @@ def _attempt(act: Callable[[], object]) -> str:
 
 def put_together(plan: Any, command: str) -> None:
     """Tables and plots of all that is finished."""
-    from baselines.gathering import gather
+    from baselines.paper.gathering import gather
     from baselines.paper.report import write
 
     if lacking := gather(plan):

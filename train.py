@@ -2,7 +2,7 @@
 
 python train.py                                      the main job, some minutes on two cores
 python train.py --scenario left_turn                 networks that know this scenario only
-python train.py --row gat collab-gat --seed 0 1 2    other rows of the table (baselines/rows.py), three times each
+python train.py --row gat collab-gat --seed 0 1 2    other rows of the table (baselines/learned.py), three times each
 python train.py --episodes 200 --corrections 0 --steps 600 --score 50 --out runs/quick     a quick look
 
 Interrupt it as you like: the same command goes on where it stopped.
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.courses import Budget, Lesson, claim, course_of, learn
-from baselines.rows import radio_of, row_named
-from baselines.settings import Settings
+from baselines.evaluation.settings import Settings
+from baselines.learned import radio_of, row_named
+from baselines.training.config import Budget, Lesson, claim, course_of, learn
 from cad_env.config import check_range, radio_config
 from evaluate import parsed, refused, scored, stopped
 
@@ -31,7 +31,7 @@ class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
     scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
-    row: tuple[str, ...] = ROWS  # which rows of the table (baselines/rows.py)
+    row: tuple[str, ...] = ROWS  # which rows of the table (baselines/learned.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
     episodes: int = 1500  # of each scenario, driven by the expert
@@ -94,7 +94,7 @@ class TrainSettings:
 
         Other episodes, rows or another version of the scenes score anew.
         """
-        from cad_env.compiled import version
+        from cad_env.numerics.jit import version
 
         found = []
         for radio, rows in self._rows_by_radio().items():
@@ -175,7 +175,7 @@ def _raise_if_failed(running: Sequence[Future[None]]) -> None:
 
 def _record(folder: Path, scenario: str, episodes: int) -> None:
     from baselines.workers import tell
-    from policies.training import record_expert
+    from policies.training.dagger import record_expert
 
     record_expert(folder, scenario, episodes, tell)
 

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from cad_env.ensemble import Ensemble
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.junction import ARM, ARMS
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import HIDDEN, Placement, Scene
-from cad_env.simulation import setup_from
+from cad_env.simulation.batch import Ensemble
+from cad_env.simulation.simulation import setup_from
 from cad_env.world.state import STANDING
 
 FIRST, SPACING = 60.0, 7.0  # m from the junction's centre to the first parked car of an arm, and from one to the next

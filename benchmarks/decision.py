@@ -9,7 +9,7 @@ import numpy as np
 from stages import FOUR
 
 import cad_env
-from baselines.contenders import contender_named, shipped_models
+from baselines.methods import contender_named, shipped_models
 
 TRACKS = 12  # of the network by itself, all of them in all 15 frames
 DECISIONS = 1000

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from baselines.families import compressed, point_transformer
-from baselines.families.compressed import COMPRESSED, CompressedConfig, CompressedNet, LearnedFeatures
-from baselines.families.point_transformer import POINT_TRANSFORMER, PointTransformerConfig, PointTransformerNet
-from cad_env.pipeline.points import RawPoints
+from cad_env.lidar.points import RawPoints
 from cad_env.types import Floats
-from policies.family import Family
+from policies.points import compressed, point_transformer
+from policies.points.compressed import COMPRESSED, CompressedConfig, CompressedNet, LearnedFeatures
+from policies.points.point_transformer import POINT_TRANSFORMER, PointTransformerConfig, PointTransformerNet
+from policies.spec import Family
 
 RAYS = 1024 * 64
 Row = dict[str, str | int | float]

@@ -7,16 +7,16 @@ from typing import Any
 import numba
 import numpy as np
 
-from cad_env.ensemble import Ensemble
-from cad_env.live import scene_at, tell
 from cad_env.pipeline.codec import write
 from cad_env.pipeline.graph import add_body, add_track
+from cad_env.pipeline.graph_arrays import slide
 from cad_env.pipeline.radio import send
 from cad_env.pipeline.sense import CENTRE_HEIGHT, fix_pose, outline, sense
 from cad_env.pipeline.step import SENSE, _rows_at, _tracks_at, deliver, fuse, show
 from cad_env.pipeline.track import confirmed, seen_now, update
-from cad_env.rows import slide
-from cad_env.simulation import setup_from
+from cad_env.simulation.batch import Ensemble
+from cad_env.simulation.scene_step import scene_at, tell
+from cad_env.simulation.simulation import setup_from
 from cad_env.types import FRAMES, STEP
 from cad_env.world.step import advance
 

@@ -11,7 +11,7 @@ import numpy as np
 from crowd import crowds
 
 import cad_env
-from cad_env.live import scene_at
+from cad_env.simulation.scene_step import scene_at
 from cad_env.world.state import OFF
 from cad_env.world.step import advance
 

@@ -17,12 +17,12 @@ import torch
 from stages import FOUR
 from torch import Tensor, nn
 
-from cad_env.planner import Expert
-from cad_env.rollout import rollouts
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.rules.planner import Expert
 from cad_env.scenarios import SCENARIOS
-from cad_env.vector import CADVectorEnv
-from policies.fused import fused_logits
-from policies.stgraph import StGraphConfig, StGraphNet
+from cad_env.scoring.rollout import rollouts
+from policies.stgraph.compiled.module import fused_logits
+from policies.stgraph.network import StGraphConfig, StGraphNet
 
 BATCH, EPISODES, STEPS, TWIN_STEPS = 96, 16, 20, 4
 KEYS = ("tracks", "mask", "command", "ego", "kind")

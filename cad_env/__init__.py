@@ -22,7 +22,7 @@ from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig
 from cad_env.types import BRAKE, GO, Command
 
 if TYPE_CHECKING:
-    from cad_env.parallel import CADParallelEnv
+    from cad_env.envs.parallel import CADParallelEnv
 
 __all__ = ["BRAKE", "GO", "RADIO_PRESETS", "Command", "RadioConfig", "SensorConfig", "parallel_env"]
 __version__ = "0.1.0"
@@ -37,14 +37,14 @@ for _id, _scenario in _IDS.items():
     if _id not in gym.registry:
         gym.register(
             _id,
-            entry_point="cad_env.env:CADEnv",
-            vector_entry_point="cad_env.vector:CADVectorEnv",
+            entry_point="cad_env.envs.single:CADEnv",
+            vector_entry_point="cad_env.envs.vector:CADVectorEnv",
             kwargs={"scenario": _scenario},
         )
 
 
 def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> "CADParallelEnv":
     """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
-    from cad_env.parallel import parallel_env as make
+    from cad_env.envs.parallel import parallel_env as make
 
     return make(env_id, render_mode, **options)

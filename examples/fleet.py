@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import tyro
 from tqdm import tqdm
 
-from baselines.contenders import contender_named, shipped_models
-from cad_env.fleet_score import fleet_scores, fleet_table
-from cad_env.fleets import FleetEpisode, rollout_fleet
-from cad_env.parallel import CADParallelEnv
+from baselines.methods import contender_named, shipped_models
+from cad_env.envs.parallel import CADParallelEnv
+from cad_env.scoring.fleet import FleetEpisode, rollout_fleet
+from cad_env.scoring.fleet_score import fleet_scores, fleet_table
 
 
 @dataclass(frozen=True)

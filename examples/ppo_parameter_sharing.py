@@ -21,10 +21,10 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
-from cad_env.fixed_agents import FixedAgents
-from cad_env.fleet_score import fleet_scores, fleet_table
-from cad_env.fleets import FleetEpisode, rollout_fleet
-from cad_env.parallel import CADParallelEnv
+from cad_env.envs.fixed_agents import FixedAgents
+from cad_env.envs.parallel import CADParallelEnv
+from cad_env.scoring.fleet import FleetEpisode, rollout_fleet
+from cad_env.scoring.fleet_score import fleet_scores, fleet_table
 from cad_env.types import Ints, Observation
 
 

@@ -19,7 +19,7 @@ from baselines.paper.statistics import (
     mean_estimate,
     wilson_estimate,
 )  # fmt: skip
-from cad_env.score import Record
+from cad_env.scoring.scorecard import Record
 from cad_env.types import STEP, Bools, Floats
 
 OURS = "stgraph"

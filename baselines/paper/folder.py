@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from baselines.evaluation.store import EPISODES, SETTINGS, read_records, read_settings
 from baselines.paper.open_loop import OpenLoop, read_open_loop
 from baselines.paper.sweeps import SWEEPS
-from baselines.store import EPISODES, SETTINGS, read_records, read_settings
-from cad_env.score import Record
+from cad_env.scoring.scorecard import Record
 
 NOTES, COSTS = "notes.md", "costs.json"
 ROWS = (

@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from baselines.contenders import Contender
-from baselines.settings import HAZARDS, Settings
+from baselines.evaluation.settings import HAZARDS, Settings
+from baselines.methods import Contender
+from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.planner import Expert
-from cad_env.rollout import BatchPolicy, rollouts
-from cad_env.simulation import Simulation
+from cad_env.rules.planner import Expert
+from cad_env.scoring.rollout import BatchPolicy, rollouts
+from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, Floats, Ints, Observation, Policy
-from cad_env.vector import CADVectorEnv
 
 FIRST_SEED = 800_000  # validation begins at 900,000 and scoring at a million
 ABREAST = 8  # episodes side by side, and how many an answer is asked for at once

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from baselines.learned import radio_of
 from baselines.paper import published, tables
-from baselines.paper.bars import Bar, bar_table, bars
+from baselines.paper.acceptance import Bar, bar_table, bars
+from baselines.paper.claims import Order, orders
 from baselines.paper.closed_metrics import CHANCE, OURS, ClosedRow, closed_row, compared
 from baselines.paper.folder import NOTES, Run, read_run
 from baselines.paper.open_loop import at_threshold
 from baselines.paper.open_metrics import OpenScore, open_score
-from baselines.paper.orders import Order, orders
 from baselines.paper.plots import robustness_plot, safety_plot
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import Scores, spoken
-from baselines.rows import radio_of
 from cad_env.files import replace_file
 
 RESULTS, NUMBERS, IMAGES = "results.md", "results.json", "img"

@@ -22,7 +22,7 @@ class SweepPoint:
     name: str
     value: str  # its folder, and its place on the axis where it is a number
     contenders: tuple[str, ...]
-    overrides: Mapping[str, Any]  # of baselines.settings.Settings
+    overrides: Mapping[str, Any]  # of baselines.evaluation.settings.Settings
 
     @property
     def folder(self) -> str:

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from baselines.paper.claims import Order
 from baselines.paper.closed_metrics import HARD_BRAKE, OURS, ClosedRow
 from baselines.paper.open_metrics import OpenScore
-from baselines.paper.orders import Order
 from baselines.paper.published import SCENES, Published
 from baselines.paper.statistics import Estimate
 

@@ -25,8 +25,9 @@ The CRC finds corruption. It is no authentication: anyone can write a message th
 
 import numpy as np
 
-from cad_env.compiled import compiled, compiled_part
-from cad_env.pipeline.codec_bits import (
+from cad_env.numerics.jit import compiled, compiled_part
+from cad_env.pipeline.graph_arrays import as_graph, empty_rows
+from cad_env.pipeline.varint import (
     REACH,
     TRUNCATED,
     VARINT_BYTES,
@@ -45,7 +46,6 @@ from cad_env.pipeline.codec_bits import (
     to_units,
     varies_along,
 )
-from cad_env.rows import as_graph, empty_rows
 from cad_env.types import CAR, FRAMES, ROWS, TRUCK, Bytes, Graph, Ints, Rows
 
 VERSION = 1

@@ -6,8 +6,8 @@ last node has left the window.
 
 import numpy as np
 
-from cad_env.compiled import inlined
-from cad_env.rows import row_of
+from cad_env.numerics.jit import inlined
+from cad_env.pipeline.graph_arrays import row_of
 from cad_env.types import FRAMES, STEP, Bools, Floats, Graph, Ints, Rows
 
 

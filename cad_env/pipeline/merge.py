@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from cad_env.assignment import assign
-from cad_env.compiled import compiled, inlined, inlined_part
-from cad_env.rows import flat_positions, row_of
+from cad_env.numerics.assignment import assign
+from cad_env.numerics.jit import compiled, inlined, inlined_part
+from cad_env.pipeline.graph_arrays import flat_positions, row_of
 from cad_env.types import FRAMES, Floats, Rows
 from cad_env.world.geometry import within
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from cad_env.compiled import compiled, compiled_part
+from cad_env.numerics.jit import compiled, compiled_part
 from cad_env.types import (
     FRAMES,
     OBSERVED_TRACKS,

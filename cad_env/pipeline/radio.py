@@ -23,9 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.chance import stream_key, uniform
-from cad_env.compiled import compiled
 from cad_env.config import RadioConfig
+from cad_env.numerics.jit import compiled
+from cad_env.numerics.philox import stream_key, uniform
 from cad_env.types import STEP, Bools, Bytes, Floats, Ints, Message
 
 # What `send` answers.

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.chance import normals_and_uniform
-from cad_env.compiled import compiled, inlined, inlined_part
 from cad_env.config import SensorConfig
+from cad_env.numerics.jit import compiled, inlined, inlined_part
+from cad_env.numerics.philox import normals_and_uniform
 from cad_env.types import ROWS, STEP, TRUCK, Bools, Detections, Floats, Ints
 from cad_env.world.geometry import box_hides, within
 from cad_env.world.state import OFF, World

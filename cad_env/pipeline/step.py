@@ -4,16 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.compiled import inlined_part
+from cad_env.numerics.jit import inlined_part
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
+from cad_env.pipeline.graph_arrays import empty_rows, slide
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks
 from cad_env.pipeline.radio import ACCEPTED, LOST, REACHES, Air, Link, empty_air, fate, fetch, send
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
-from cad_env.rows import empty_rows, slide
 from cad_env.types import FRAMES, MERGED_ROWS, ROWS, Bools, Bytes, Floats, Ints, Rows
 from cad_env.world.state import Routes, World
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.assignment import assign
-from cad_env.compiled import compiled, compiled_part, inlined_part
+from cad_env.numerics.assignment import assign
+from cad_env.numerics.jit import compiled, compiled_part, inlined_part
 from cad_env.types import ROWS, STEP, Bools, Floats, Ints
 from cad_env.world.geometry import within
 

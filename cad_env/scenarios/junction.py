@@ -4,7 +4,7 @@ import numpy as np
 from highway_env.road.lane import CircularLane, LineType, StraightLane
 from highway_env.road.road import RoadNetwork
 
-from cad_env.roads import RoutePlan
+from cad_env.scenarios.routes import RoutePlan
 from cad_env.types import Command, Floats
 
 LANE = 3.5  # m wide

@@ -7,8 +7,8 @@ import numpy as np
 from highway_env.road.lane import LineType, SineLane, StraightLane
 from highway_env.road.road import RoadNetwork
 
-from cad_env.roads import RoutePlan
 from cad_env.scenarios.ranges import Range, Ranges, check_road, span
+from cad_env.scenarios.routes import RoutePlan
 from cad_env.scenarios.scenario import Groups, Map, Scenario
 from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Cast, Placement
 from cad_env.scenarios.vehicles import car_body, stream, time_to

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from highway_env.road.road import RoadNetwork
 
-from cad_env.chance import generator
 from cad_env.config import check_names
-from cad_env.roads import RoutePlan, crossing_of, sample_routes
+from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
+from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
 from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Cast, Placement, Scene, connected_rows
 from cad_env.world.state import Routes
 

@@ -5,7 +5,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from cad_env.compiled import compiled
+from cad_env.numerics.jit import compiled
 from cad_env.scenarios.scene import Placement
 from cad_env.types import STEP
 from cad_env.world.drivers import idm_acceleration

@@ -7,7 +7,7 @@ runs along the own one, so that a truck is seen as long as it is.
 
 import math
 
-from cad_env.compiled import compiled, inlined
+from cad_env.numerics.jit import compiled, inlined
 from cad_env.types import BRAKE
 from cad_env.world.state import IDM, OFF, STANDING, Routes, World
 

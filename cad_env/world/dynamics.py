@@ -6,7 +6,7 @@ The equations and gains are those of `highway_env.vehicle.kinematics.Vehicle.ste
 
 import math
 
-from cad_env.compiled import compiled, inlined
+from cad_env.numerics.jit import compiled, inlined
 from cad_env.types import Floats
 from cad_env.world.state import Routes, World
 

@@ -2,7 +2,7 @@
 
 import math
 
-from cad_env.compiled import compiled
+from cad_env.numerics.jit import compiled
 
 
 @compiled

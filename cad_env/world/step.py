@@ -1,6 +1,6 @@
 """One decision's worth of world: drivers, motion and contact, at 20 Hz."""
 
-from cad_env.compiled import compiled, inlined
+from cad_env.numerics.jit import compiled, inlined
 from cad_env.types import STEP, Floats, Ints
 from cad_env.world.drivers import acceleration_of, drives
 from cad_env.world.dynamics import drive

@@ -18,12 +18,13 @@ import numpy as np
 import torch
 
 import evaluate
-from baselines.families import family_named, ppo
-from cad_env.cloud import CloudConfig
-from cad_env.env import CADEnv
+from cad_env.envs.single import CADEnv
+from cad_env.lidar.config import CloudConfig
 from cad_env.scenarios import SCENARIOS
-from policies.cloning import Recipe
-from policies.training import Course, train
+from policies.registry import family_named
+from policies.training import ppo
+from policies.training.cloning import Recipe
+from policies.training.dagger import Course, train
 
 HERE = Path(__file__).parent
 TRAFFIC, RADIOS = ("none", "light", "dense"), ("none", "dsrc", "ideal")

@@ -1,0 +1,1 @@
+"""Methods scored in closed loop on the same seeds."""

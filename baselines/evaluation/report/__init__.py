@@ -1,0 +1,57 @@
+"""report.html: what a scoring run found, for people, in one file that needs nothing else and no network."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from baselines.evaluation.report.page import html_page
+from baselines.evaluation.report.plots import all_plots
+from baselines.evaluation.store import gif_of, read_records, read_settings
+from baselines.methods import CONTENDERS, NOTHING
+from cad_env.files import replace_file
+from cad_env.scoring.scorecard import Record, scorecards
+
+REPORT = "report.html"
+ROOM = 6_000_000  # bytes of animations; a third more in the page
+TELLING = ("collision", "success", "timeout")
+
+
+def write_report(folder: Path) -> Path:
+    """Write the report of the finished run in a folder, with the animations in its `gifs`; gives its path.
+
+    It depends on the files of the folder only. OSError or ValueError if they cannot be read.
+    """
+    records = read_records(folder)
+    rows = scorecards(records)
+    shown, left = _animations(folder, records)
+    html = html_page(read_settings(folder), rows, all_plots(rows, records), shown, left)
+    replace_file(folder / REPORT, html.encode())
+    return folder / REPORT
+
+
+def _animations(folder: Path, records: Sequence[Record]) -> tuple[dict[str, bytes], int]:
+    """caption -> GIF of the most telling that fit in, and how many more there are."""
+    there = _most_telling_first([record for record in records if gif_of(folder, record).exists()])
+    shown: dict[str, bytes] = {}
+    room = ROOM
+    for record in there:
+        data = gif_of(folder, record).read_bytes()
+        room -= len(data)
+        if room < 0:
+            break
+        scene, kind = record.scenario.replace("_", " "), "a hazard" if record.hazard else "no hazard"
+        shown[f"{scene}, {record.contender}: {record.outcome}, {kind}, seed {record.seed}"] = data
+    return shown, len(there) - len(shown)
+
+
+def _most_telling_first(records: Sequence[Record]) -> list[Record]:
+    """One of each kind before a second, who knows something before who does not, hazards and collisions early."""
+    seen: Counter[tuple[str, str, str, bool]] = Counter()
+    ranks = []
+    for place, record in enumerate(records):
+        kind = record.scenario, record.contender, record.outcome, record.hazard
+        known = CONTENDERS.get(record.contender)
+        blind = known is None or known.knows == NOTHING
+        ranks.append((seen[kind], blind, not record.hazard, TELLING.index(record.outcome), record.contender, place))
+        seen[kind] += 1
+    return [records[place] for *_, place in sorted(ranks)]

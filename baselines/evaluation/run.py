@@ -1,0 +1,160 @@
+"""Contenders x seeds -> records of episodes -> scores: in this process or in several, with the same result."""
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from baselines.evaluation.grid import Task
+from baselines.evaluation.ray_backend import on_ray
+from baselines.evaluation.settings import HAZARDS, Settings
+from baselines.evaluation.store import NOTES, Store, key_of
+from baselines.methods import MODEL_FILES, contender_named
+from baselines.workers import heard, prefer_one_thread, tell, workers
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.numerics.jit import version
+from cad_env.scoring.rollout import BatchPolicy, Episode, rollouts
+from cad_env.scoring.scorecard import Record, Scorecard, scorecards
+
+ABREAST = 16  # episodes side by side, for a policy that decides in batches
+
+
+def score(settings: Settings) -> list[Scorecard]:
+    """Score every contender on every scenario and seed, going on where an earlier run with these settings stopped."""
+    return completed(settings, opened(settings))
+
+
+def opened(settings: Settings) -> Store:
+    """The results so far. ValueError or OSError, one line, for models or a folder that cannot be used."""
+    prefer_one_thread()
+    for scenario in settings.scenarios():
+        for name in settings.contender:
+            settings.driver(scenario, contender_named(name))
+    return Store(settings.folder(), identity(settings))
+
+
+def completed(settings: Settings, store: Store, advance: Callable[[int], object] | None = None) -> list[Scorecard]:
+    """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only.
+
+    `advance` is told of finished episodes, and no bar is drawn then.
+    """
+    keys = [key for task in settings.tasks() for key in task.episodes()]
+    with (
+        tqdm(
+            total=len(keys),
+            initial=len(store.records),
+            unit="episode",
+            smoothing=0.1,
+            disable=True if advance else None,
+        ) as bar,
+        closing(_driven(settings, _missing(settings, store))) as finished,
+    ):
+        for records in finished:
+            new = [record for record in records if key_of(record) not in store.records]
+            if not new:
+                continue  # nothing to wait for the disk for
+            store.append(new)
+            bar.update(len(new))
+            if advance:
+                advance(len(new))
+    rows = scorecards(store.put_in_order(keys))
+    if settings.shard is None:
+        store.write_scores(rows)
+    return rows
+
+
+def identity(settings: Settings) -> dict[str, Any]:
+    """All that the episodes depend on: settings, models and the code of the scenes; and the command, as a note."""
+    names = (
+        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
+        "collaborators", "depth", "threshold",
+    )  # fmt: skip
+    models = {name: contender_named(name).model for name in settings.contender}
+    return {
+        "scenario": list(settings.scenarios()),
+        "contender": list(settings.contender),
+        **{name: getattr(settings, name) for name in names},
+        "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
+        **{f"model of {name}": _digest(settings, model) for name, model in models.items() if model},
+        "version of cad_env": version(),
+        "command": settings.command(),
+        **({} if settings.shard is None else {"shard": settings.shard}),
+    }
+
+
+def digest_of(settings: Settings) -> str:
+    """The identity in 16 hexadecimal digits."""
+    known = {name: value for name, value in identity(settings).items() if name not in NOTES}
+    return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
+
+
+def _digest(settings: Settings, model: str) -> str:
+    folders: dict[Path, None] = dict.fromkeys(settings.models(scenario) / model for scenario in settings.scenarios())
+    data = b"".join((folder / name).read_bytes() for folder in folders for name in MODEL_FILES)
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def _missing(settings: Settings, store: Store) -> list[Task]:
+    rest = [
+        task._replace(seeds=[seed for *_, seed in task.episodes() if (*task[:2], seed) not in store.records])
+        for task in settings.tasks()
+    ]
+    return [task for task in rest if task.seeds]
+
+
+def drive(settings: Settings, task: Task) -> Iterator[Record]:
+    """The records of one contender on some seeds of one scenario, as the episodes end."""
+    contender = contender_named(task.contender)
+    policy = settings.driver(task.scenario, contender)
+    abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
+    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender))
+    return map(_record, rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard]))
+
+
+def _record(episode: Episode) -> Record:
+    messages = int(episode.messages_sent.sum())
+    return Record(
+        episode.scenario, episode.contender, episode.seed, episode.hazard, episode.outcome, round(episode.time, 6),
+        episode.brakes, round(episode.bytes_per_message, 3) if messages else None,
+        int(episode.largest_message.max()) if messages else None, messages,
+        int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
+        round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
+        None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
+        episode.connected, round(episode.hardest_brake, 6),
+    )  # fmt: skip
+
+
+def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:
+    """Records as episodes end; some come twice."""
+    work = partial(_drive_and_tell, settings)
+    if settings.backend == "ray" and tasks:
+        yield from on_ray(work, tasks, settings.jobs)
+    elif settings.jobs == 1 or len(tasks) <= 1:
+        for task in tasks:
+            for record in drive(settings, task):
+                yield [record]
+    else:
+        with workers(min(settings.jobs, len(tasks))) as (pool, told):
+            running = {pool.submit(work, task) for task in tasks}
+            while running:
+                yield heard(told)
+                finished = {future for future in running if future.done()}
+                for future in finished:
+                    yield future.result()  # all of a task: what it told last may still be on its way
+                running -= finished
+
+
+def _drive_and_tell(settings: Settings, task: Task) -> list[Record]:
+    """What a process does: each record is told as its episode ends, so that a kill loses none that has ended."""
+    records = []
+    for record in drive(settings, task):
+        tell(record)
+        records.append(record)
+    return records

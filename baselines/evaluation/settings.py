@@ -1,0 +1,150 @@
+"""What a scoring run is asked for; also the command line of evaluate.py."""
+
+import math
+import shlex
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from baselines.evaluation.grid import Task, grid, shard_of
+from baselines.evaluation.ray_backend import check_ray
+from baselines.methods import SHIPPED, Contender, contender_named, shipped_models
+from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
+from cad_env.types import FRAMES, STEP, Policy
+
+HAZARDS = {"all": None, "yes": True, "no": False}
+ALL = ("all",)
+BACKENDS = ("processes", "ray")
+HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Score contenders in closed loop, all on the same seeds of every scenario.
+
+    Writes episodes.jsonl (one line an episode), scores.json (rates with 95 % Wilson intervals) and report.html (tables
+    and plots), and prints the table. Interrupt it as you like: the same command goes on where it stopped.
+    `--merge FOLDER FOLDER ... --out FOLDER` instead of these options puts the finished shards of one run together.
+    """
+
+    scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
+    contender: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/learned.py has more
+    policy: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
+    episodes: int = 500  # per scenario and contender
+    first_seed: int = 1_000_000  # training never uses seeds from a million on
+    jobs: int = 1  # processes
+    backend: str = "processes"  # or ray: on the cores of this machine, or on the cluster that RAY_ADDRESS names
+    shard: str | None = None  # i/n: only the i-th of n parts of the run, into <out>/shard_i_of_n
+    out: Path = Path("results")  # folder to write to
+    report: bool = True  # write report.html
+    gif: int = 0  # animations of each scenario, contender and outcome, into <out>/gifs and the report
+    traffic: str = "light"  # none, light or dense: how much is on the road around the cast of a scenario
+    penetration: float | None = None  # share of the vehicles that is connected; default: two to four
+    radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
+    loss: float | None = None  # probability that the ego misses a message; default: the radio's own
+    burst: float | None = None  # mean slots in a row that the ego misses of a sender; default: each by itself
+    delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own
+    budget: float | None = None  # bytes of one sender in 0.1 s; a message above is refused whole; default: the radio's
+    sensor_noise: float = SensorConfig.noise  # m, standard deviation of each coordinate of a detection
+    gnss_noise: float = SensorConfig.gnss_noise  # m, standard deviation of a vehicle's own position
+    gnss_yaw_noise: float = 0.0  # degrees, standard deviation of a vehicle's own heading
+    collaborators: int | None = None  # connected vehicles besides the ego; default: two to four
+    hazard: str = "all"  # yes or no: only episodes with or without one; all: as the seed decides
+    depth: int = FRAMES  # newest frames in a message
+    threshold: float | None = None  # P(brake) from which a learned contender brakes; default: its model's own
+
+    def __post_init__(self) -> None:
+        for name in self.contender:
+            contender_named(name)
+        for what in ("scenario", "contender"):
+            names = getattr(self, what)
+            if not names or len(set(names)) < len(names):
+                raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
+        if len({folder.name for folder in self.policy}) < len(self.policy):
+            raise ValueError(f"policy folders must have different names, got {' '.join(map(str, self.policy))}")
+        check_range("episodes", self.episodes, 1, 10_000_000)
+        check_range("first-seed", self.first_seed, 0, 2**40)
+        check_range("jobs", self.jobs, 1, 256)
+        check_range("gif", self.gif, 0, 1000)
+        if self.backend not in BACKENDS:
+            raise ValueError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}")
+        if self.backend == "ray":
+            check_ray()
+        if self.shard is not None:
+            shard_of(self.shard)
+            if self.gif:
+                raise ValueError("gif is for a whole run: merge the shards first")
+        if self.threshold is not None:
+            check_range("threshold", self.threshold, 0.0, 1.0)
+        if self.hazard not in HAZARDS:
+            raise ValueError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}")
+        from cad_env.simulation.simulation import (
+            setup_from,  # here, because highway-env takes a second that --help need not wait
+        )
+
+        for scenario in self.scenarios():
+            setup_from(self._environment(scenario, self.radio_config(), self.depth))
+
+    def scenarios(self) -> tuple[str, ...]:
+        """The names of the scenarios, in the order of the table."""
+        from cad_env.scenarios import SCENARIOS  # here, for the same reason
+
+        return tuple(SCENARIOS) if self.scenario == ALL else self.scenario
+
+    def environment(self, scenario: str, contender: Contender) -> dict[str, Any]:
+        """The options of the environment for a contender: what it shares, and what its network needs."""
+        radio = self.radio_config() if contender.shares else RADIO_PRESETS["none"]
+        options = self._environment(scenario, radio, min(self.depth, contender.depth))
+        return {**options, **contender.needs(self.models(scenario))}
+
+    def driver(self, scenario: str, contender: Contender) -> Policy:
+        """A contender as it drives in a scenario. ValueError for models that are not there."""
+        policy = contender.make_policy(self.models(scenario))
+        if self.threshold is not None and hasattr(policy, "threshold"):
+            policy.threshold = self.threshold
+        return policy
+
+    def _environment(self, scenario: str, radio: RadioConfig, depth: int) -> dict[str, Any]:
+        return {
+            "scenario": scenario,
+            "radio": radio,
+            "sensor": SensorConfig(
+                noise=self.sensor_noise, gnss_noise=self.gnss_noise, gnss_yaw_noise=math.radians(self.gnss_yaw_noise)
+            ),
+            "ranges": {} if self.collaborators is None else {"collaborators": (self.collaborators,) * 2},
+            "depth": depth,
+            "traffic": self.traffic,
+            "penetration": self.penetration,
+        }
+
+    def radio_config(self) -> RadioConfig:
+        """The preset with what was overridden."""
+        rate = None if self.budget is None else 8.0 * self.budget / STEP
+        chosen = {"loss": self.loss, "burst": self.burst, "delay": self.delay, "rate": rate}
+        return replace(radio_config(self.radio), **{name: value for name, value in chosen.items() if value is not None})
+
+    def seeds(self) -> range:
+        """The same for every scenario and contender."""
+        return range(self.first_seed, self.first_seed + self.episodes)
+
+    def tasks(self) -> list[Task]:
+        """Every episode of this run, or of this shard of it."""
+        return grid(self.scenarios(), self.contender, self.seeds(), self.shard)
+
+    def models(self, scenario: str) -> Path:
+        """The folder of trained models for a scenario; of the first training seed, where there are several."""
+        return self.policy[0] if self.policy else shipped_models(scenario)
+
+    def folder(self) -> Path:
+        """Where the results go."""
+        return self.out if self.shard is None else self.out / "shard_{}_of_{}".format(*shard_of(self.shard))
+
+    def command(self) -> str:
+        """A command that gives these results, however they were come by."""
+        words = ["python", "evaluate.py"]
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name not in HOW and value != field.default:
+                values = value if isinstance(value, tuple) else (value,)
+                words += ["--" + field.name.replace("_", "-"), *map(str, values)]
+        return shlex.join(words)

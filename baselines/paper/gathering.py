@@ -1,0 +1,93 @@
+"""The parts of a reproduction, one a contender, put side by side: the folders that its report is made of."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from baselines.evaluation.grid import grid
+from baselines.evaluation.run import identity
+from baselines.evaluation.settings import Settings
+from baselines.evaluation.store import (
+    EPISODES,
+    SCORES,
+    SETTINGS,
+    Store,
+    difference,
+    key_of,
+    read_records,
+    read_settings,
+)
+from baselines.methods import SHIPPED
+from baselines.paper.tasks import Plan, Task, answered, every_unit, measuring, scoring, table_of
+from cad_env.files import replace_file
+from cad_env.scoring.scorecard import scorecards
+
+
+def gather(plan: Plan) -> int:
+    """Fill closed/ and sweeps/ with all that is finished; gives how many parts, of open loop too, are not.
+
+    ValueError for open-loop answers of another model than the one that is there now.
+    """
+    tables: dict[str, list[Task]] = {}
+    lacking = 0
+    for unit in every_unit(plan):
+        for task in measuring(plan, unit):
+            if task.stage == "open":
+                lacking += not answered(plan, task)
+            else:
+                tables.setdefault(table_of(task), []).append(task)
+    for name, tasks in tables.items():
+        parts = [scoring(plan, task) for task in tasks]
+        finished = [part for part in parts if _is_finished(part)]
+        lacking += len(parts) - len(finished)
+        if finished:
+            _join(finished, plan.out / name)
+        elif any((part.out / SCORES).exists() for part in parts):
+            for file in (EPISODES, SETTINGS, SCORES):  # copies of what other models did; the parts themselves stay
+                (plan.out / name / file).unlink(missing_ok=True)
+    return lacking
+
+
+def _is_finished(part: Settings) -> bool:
+    """Whether all episodes are there, and of the model that is there now."""
+    try:
+        return (part.out / SCORES).exists() and not difference(read_settings(part.out), identity(part))
+    except FileNotFoundError:
+        return False
+
+
+def commands(parts: Sequence[Settings]) -> str:
+    """What gives the episodes of these parts, a line for those that differ in nothing but the contender."""
+    policy = next((part.policy for part in parts if part.policy), ())  # of one training seed; rules do not look at it
+    groups: dict[Settings, list[str]] = {}
+    for part in parts:
+        alike = replace(part, contender=SHIPPED, policy=policy, out=parts[0].out)
+        groups.setdefault(alike, []).append(part.contender[0])
+    return "\n".join(replace(alike, contender=tuple(names)).command() for alike, names in groups.items())
+
+
+def _side_by_side(notes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The settings of each contender in one mapping; where they differ, as `<setting> of <contender>`."""
+    first = next(iter(notes.values()))
+    shared = {name: value for name, value in first.items() if all(note.get(name) == value for note in notes.values())}
+    return shared | {
+        f"{name.removesuffix(f' of {who}')} of {who}": value  # that of a model says so already
+        for who, note in notes.items()
+        for name, value in note.items()
+        if name not in {*shared, "contender", "command"}
+    }
+
+
+def _join(parts: Sequence[Settings], into: Path) -> None:
+    """As if all contenders had been scored in one run."""
+    whole = replace(parts[0], contender=tuple(part.contender[0] for part in parts), out=into)
+    settings = _side_by_side({part.contender[0]: read_settings(part.out) for part in parts})
+    settings |= {"contender": list(whole.contender), "command": commands(parts)}
+    into.mkdir(parents=True, exist_ok=True)
+    replace_file(into / SETTINGS, (json.dumps(settings, indent=2) + "\n").encode())
+    store = Store(into, settings)
+    store.records = {key_of(record): record for part in parts for record in read_records(part.out)}
+    tasks = grid(whole.scenarios(), whole.contender, whole.seeds())
+    store.write_scores(scorecards(store.put_in_order([key for task in tasks for key in task.episodes()])))

@@ -1,0 +1,1 @@
+"""How every learned method is trained."""

@@ -1,0 +1,98 @@
+"""From a row of the table and what a run may cost to a course, and what its folder is for."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from baselines.learned import Row, row_named
+from cad_env.files import replace_file
+from policies.registry import family_named
+
+if TYPE_CHECKING:
+    from policies.training.dagger import Course
+
+COURSE = "course.json"  # in the folder of a row: what it was trained with
+Advance = Callable[[float], object]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What the training of every row may cost; episodes are counted per scenario."""
+
+    scenarios: tuple[str, ...]
+    radio: str  # that of the rows that share and name no other
+    episodes: int  # driven by the expert
+    corrections: int  # DAgger rounds, of the rows that name no other number
+    steps: int  # optimiser steps of the first round; later rounds take half as many
+    validation: int  # closed-loop episodes after each third of a round
+    corrected_episodes: int = 400  # in each DAgger round
+    mixing: float = 0.0  # share of the decisions that the expert takes in the first DAgger round
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """One row, trained from one seed, in a folder of models."""
+
+    row: str
+    seed: int
+    models: Path  # its own folder is in there
+    recordings: Path  # of the expert, shared by all lessons
+
+    @property
+    def folder(self) -> Path:
+        """Where the model goes."""
+        return self.models / row_named(self.row).model
+
+
+def course_of(row: Row, seed: int, budget: Budget, knobs: Mapping[str, Any] | None = None) -> "Course":
+    """How a row is trained; ValueError for what is impossible. `knobs` of the network go before those of the row."""
+    from policies.training.cloning import Recipe  # here, because torch takes a second that --help need not wait
+    from policies.training.dagger import Course
+
+    radio = "none" if row.shares == "nothing" else row.radio or budget.radio
+    network = family_named(row.family).config_type(**{**row.config, **(knobs or {})})
+    validation = budget.validation if row.most_validated is None else min(budget.validation, row.most_validated)
+    return Course(
+        scenarios=budget.scenarios, radio=radio, depth=row.depth, seed=seed, episodes=budget.episodes,
+        corrections=budget.corrections if row.corrections is None else row.corrections,
+        corrected_episodes=budget.corrected_episodes, mixing=budget.mixing,
+        steps=max(round(row.pace * budget.steps), 3), validation=validation, final_validation=validation * 5 // 3,
+        family=row.family, network=network, recipe=Recipe(**row.recipe),
+    )  # fmt: skip
+
+
+def claim(folder: Path, course: "Course") -> None:
+    """Note in the folder of a row what it is trained with; ValueError if that is not what it was begun with."""
+    from cad_env.numerics.jit import version
+
+    path = folder / COURSE
+    wanted = json.loads(json.dumps({**asdict(course), "version of cad_env": version()}))
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
+        return
+    found = _read(path)
+    for name in [*wanted, *found]:
+        if found.get(name) != wanted.get(name):
+            change = f"{name}={found.get(name)!r}, now {wanted.get(name)!r}"
+            raise ValueError(f"{folder} holds a run with {change}: use another --out or delete it")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text())
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise ValueError(f"{path} is damaged: use another folder or delete that one")
+    return found
+
+
+def learn(lesson: Lesson, course: "Course", advance: Advance) -> None:
+    """Train the row into its folder, going on where it stopped."""
+    from policies.training.dagger import train
+
+    claim(lesson.folder, course)
+    train(course, lesson.folder, advance, family_named, lesson.recordings)

@@ -1,0 +1,219 @@
+"""The multi-agent environment (PettingZoo): every connected vehicle sees, is told, and decides for itself."""
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from cad_env.envs.global_state import global_state, global_state_space
+from cad_env.envs.goals import goals
+from cad_env.envs.highway_vehicles import WorldRoad
+from cad_env.envs.single import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
+from cad_env.pipeline.observe import observation_space
+from cad_env.rendering.framing import screen
+from cad_env.rendering.layers import LAYERS, checked_layers
+from cad_env.rendering.viewer import SceneViewer
+from cad_env.rules.planner import Truth
+from cad_env.scenarios import SCENARIOS
+from cad_env.simulation.scene_step import MAX_STEPS
+from cad_env.simulation.simulation import COLLISION, FINAL_REWARD, SUCCESS, TIMEOUT, Simulation, outcome_of, setup_from
+from cad_env.types import GO, Floats, Ints, Observation
+
+COLLABORATORS = (3, 3)  # a fixed number unless asked otherwise: many multi-agent libraries want fixed agents
+WAITED = "waited"  # the outcome of a vehicle that could only wait, and was not hit
+
+Infos = dict[str, dict[str, Any]]
+Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
+
+
+class CADParallelEnv(ParallelEnv[str, Observation, int]):
+    """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
+
+    An agent that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
+    An agent that can only wait (at a red light, in a queue, parked; `info["waits"]`) stays until nobody else is left,
+    and then leaves unharmed, with the outcome `waited` and no reward. `outcomes` has the outcome of each that has left.
+
+    Keyword arguments as for CADEnv, and `max_cycles`, decisions until time is up. There are three collaborators
+    unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it.
+
+    >>> env = CADParallelEnv()
+    >>> observations, infos = env.reset(seed=1)
+    >>> while env.agents:
+    ...     observations, rewards, terminations, truncations, infos = env.step(dict.fromkeys(env.agents, 0))
+    >>> env.outcomes
+    {'cav_0': 'success', 'cav_1': 'waited', 'cav_2': 'waited', 'cav_3': 'waited'}
+    """
+
+    metadata = {"name": "cad_v0", "render_modes": list(RENDER_MODES), "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
+
+    def __init__(self, render_mode: str | None = None, max_cycles: int = MAX_STEPS, **options: Any) -> None:
+        check_render_mode(render_mode)
+        self.layers = checked_layers(options.pop("layers", tuple(LAYERS)))
+        if isinstance(max_cycles, bool) or not isinstance(max_cycles, int) or max_cycles < 1:
+            raise ValueError(f"max_cycles must be a whole number of decisions from 1, got {max_cycles!r}")
+        if options.get("cloud") is not None:
+            raise ValueError(f"cloud is for one ego (CADEnv, CADVectorEnv) only, got {options['cloud']!r}")
+        ranges = options.pop("ranges", {})
+        if isinstance(ranges, Mapping):
+            ranges = {"collaborators": COLLABORATORS, **ranges}
+        self.simulation = Simulation(setup_from({**options, "ranges": ranges}))
+        self.render_mode = render_mode
+        self.max_cycles = max_cycles
+        most = self.simulation.scenario.most_connected(self.simulation.ranges, self.simulation.traffic)
+        self.possible_agents = [f"cav_{k}" for k in range(most)]
+        self.observation_spaces = {agent: observation_space() for agent in self.possible_agents}
+        self.action_spaces = {agent: spaces.Discrete(2) for agent in self.possible_agents}
+        self.state_space = global_state_space()
+        self.agents: list[str] = []
+        self.outcomes: dict[str, str] = {}
+        self.np_random: np.random.Generator | None = None  # from the first reset on, so that copies of an env differ
+        self._number = {agent: k for k, agent in enumerate(self.possible_agents)}
+        self._viewer: SceneViewer | None = None
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """Equal for every agent; the same object every time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """0 go, 1 brake; the same object every time."""
+        return self.action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, Infos]:
+        """Draw a scene -> (observations, infos), a dict by agent each.
+
+        A seed is an episode, the same one as in CADEnv, and the start of those of later resets without a seed. Option
+        `hazard` True or False forces the kind of episode; other options are PettingZoo's to pass.
+        """
+        hazard = checked_hazard((options or {}).get("hazard"))
+        if seed is not None or self.np_random is None:
+            self.np_random = np.random.default_rng(seed)
+        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard)
+        simulation = self.simulation
+        world, rows = simulation.world, simulation.agents
+        self.agents, self.outcomes = self.possible_agents[: len(rows)], {}
+        self._goal, waits = goals(world, simulation.map.routes, rows, simulation.scene.goal)
+        self._waits = waits.tolist()
+        self._start = self._progress = world.progress[rows]
+        self._way = np.maximum(self._goal - self._start, 1.0)
+        if self.render_mode == "human":
+            self.render()
+        return self._observations(), self._infos([None] * len(rows))
+
+    def step(self, actions: Mapping[str, int]) -> Step:
+        """Everybody decides, 0.1 s passes, everybody perceives -> observations, rewards, terminations, truncations,
+        infos, of all that were there; whoever is done leaves. Actions of those who have left already are ignored."""
+        if not self.agents:
+            raise RuntimeError("no agent is left: call reset() before step()")
+        self.simulation.step(self._chosen(actions))
+        there, outcomes = self.agents, self._outcomes()
+        rewards, infos, observations = self._rewards(outcomes), self._infos(outcomes), self._observations()
+        ended = [outcomes[self._number[agent]] for agent in there]
+        terminations = {agent: end is not None and end != TIMEOUT for agent, end in zip(there, ended, strict=True)}
+        truncations = {agent: end == TIMEOUT for agent, end in zip(there, ended, strict=True)}
+        self.outcomes.update({agent: end for agent, end in zip(there, ended, strict=True) if end is not None})
+        self.agents = [agent for agent, end in zip(there, ended, strict=True) if end is None]
+        if self.render_mode == "human":
+            self.render()
+        return observations, rewards, terminations, truncations, infos
+
+    def _chosen(self, actions: Mapping[str, int]) -> Ints:
+        """(V,) what every connected vehicle does; those who have left go."""
+        if not (self._number.keys() >= actions.keys() >= set(self.agents)):
+            raise ValueError(f"one action for each of {self.agents} is needed, got {list(actions)}")
+        chosen = np.full(len(self.simulation.agents), GO)
+        for agent in self.agents:
+            chosen[self._number[agent]] = checked_action(actions[agent])
+        return chosen
+
+    def _outcomes(self) -> list[str | None]:
+        """How it ended for every connected vehicle, None for those who go on."""
+        world, rows = self.simulation.world, self.simulation.agents
+        over = self.simulation.steps >= self.max_cycles
+        struck, arrived = (world.struck[rows] >= 0).tolist(), (world.progress[rows] >= self._goal).tolist()
+        outcomes = [outcome_of(s, a, over) for s, a in zip(struck, arrived, strict=True)]
+        alive = [k for k in map(self._number.__getitem__, self.agents) if outcomes[k] in (None, TIMEOUT)]
+        if all(self._waits[k] or outcomes[k] == TIMEOUT for k in alive):
+            for k in alive:
+                if self._waits[k]:
+                    outcomes[k] = WAITED
+        return outcomes
+
+    def _observations(self) -> dict[str, Observation]:
+        every = self.simulation.observations()
+        return {agent: every[self._number[agent]] for agent in self.agents}
+
+    def _rewards(self, outcomes: list[str | None]) -> dict[str, float]:
+        """As in CADEnv: the share of one's own way, none for who waits, +1 on arrival, -1 on a collision."""
+        progress: Floats = self.simulation.world.progress[self.simulation.agents]
+        share = ((progress - self._progress) / self._way).tolist()
+        self._progress = progress
+        number = self._number
+        return {a: share[number[a]] + FINAL_REWARD.get(outcomes[number[a]], 0.0) for a in self.agents}
+
+    def _infos(self, outcomes: list[str | None]) -> Infos:
+        simulation, air = self.simulation, self.simulation.fleet.report
+        covered = np.minimum((self._progress - self._start) / self._way, 1.0).tolist()
+        speed = simulation.world.speed[simulation.agents].tolist()
+        sent, received, lost = air.sent_bytes.tolist(), air.received_bytes.tolist(), air.lost.tolist()
+        seed, hazard = simulation.seed, simulation.scene.hazard
+        infos = {}
+        for agent in self.agents:
+            k = self._number[agent]
+            infos[agent] = {
+                "seed": seed, "hazard": hazard, "waits": self._waits[k],
+                "is_success": outcomes[k] == SUCCESS, "crashed": outcomes[k] == COLLISION,
+                "covered": covered[k], "speed": speed[k],
+                "bytes_sent": sent[k], "bytes_received": received[k], "messages_lost": lost[k],
+            }  # fmt: skip
+        return infos
+
+    def state(self) -> NDArray[np.float32]:
+        """The truth as a vector in `state_space`, for a centralised critic: see `cad_env.envs.global_state`."""
+        return global_state(self.simulation.world, self.simulation.agents)
+
+    def truth(self, agent: str) -> Truth:
+        """The world itself, for a privileged policy."""
+        return self.simulation.truth(self._number[agent])
+
+    def render(self) -> Any:
+        """An image (H, W, 3) uint8 in mode rgb_array; a window in mode human, which reset and step keep up to date."""
+        if self.render_mode is None:
+            gym.logger.warn(
+                f"render() was called without specifying any render mode: choose one of {', '.join(RENDER_MODES)}"
+            )
+            return None
+        simulation = self.simulation
+        if self._viewer is None:
+            self._viewer = SceneViewer(SimpleNamespace(config=self._display(), observation_type=None, action_type=None))
+        shown = self._viewer.env
+        shown.road = WorldRoad(
+            simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected
+        )
+        shown.vehicle, shown.simulation = shown.road.rows[0], simulation
+        self._viewer.display()
+        return self._viewer.get_image() if self.render_mode == "rgb_array" else self._viewer.handle_events()
+
+    def _display(self) -> dict[str, Any]:
+        """highway-env's settings of the viewer, as CADEnv has them."""
+        window = self.render_mode == "human"
+        suited = screen(self.simulation.map)
+        return {**CADEnv.default_config(), **suited, "layers": self.layers, "offscreen_rendering": not window}
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._viewer is not None:
+            self._viewer.close()
+        self._viewer = None
+
+
+def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> CADParallelEnv:
+    """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
+    ids = {scenario.gym_id: scenario.name for scenario in SCENARIOS.values()}
+    if env_id not in ids:
+        raise ValueError(f"unknown environment {env_id!r}: choose among {', '.join(ids)}")
+    return CADParallelEnv(render_mode=render_mode, scenario=ids[env_id], **options)

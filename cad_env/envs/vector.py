@@ -1,0 +1,151 @@
+"""The vector environment: many scenes in one process, by Gymnasium's conventions, bit for bit equal to single ones."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from cad_env.config import check_names
+from cad_env.envs.single import checked_hazard
+from cad_env.lidar.config import space_with
+from cad_env.simulation.batch import Ensemble, masked
+from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
+from cad_env.simulation.simulation import setup_from
+from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
+
+Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
+
+
+class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
+    """`num_envs` scenes, each as CADEnv gives it: observations, rewards, seeds and infos are equal to the last bit.
+
+    Keyword arguments: those of CADEnv but `config` and `render_mode`; `scenario` may also be a sequence of names, which
+    the scenes take in turn. `autoreset_mode` is one of Gymnasium's ("NextStep", "SameStep", "Disabled"), `copy=False`
+    hands out the same arrays at every step. Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
+
+    >>> envs = CADVectorEnv(num_envs=3, radio="dsrc")
+    >>> observations, infos = envs.reset(seed=1, options={"hazard": True})
+    >>> observations["tracks"].shape, infos["seed"].tolist()
+    ((3, 16, 15, 3), [1, 2, 3])
+    """
+
+    metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+        scenario: str | Sequence[str] = "left_turn",
+        object_lists: bool = False,
+        **options: Any,
+    ) -> None:
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+            raise ValueError(f"num_envs must be a whole number from 1 on, got {num_envs!r}")
+        self.num_envs, self.copy, self._object_lists = num_envs, copy, object_lists
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        names = [scenario] if isinstance(scenario, str) else list(scenario)
+        if not names:
+            raise ValueError(f"scenario must name at least one, got {scenario!r}")
+        setups = [setup_from({**options, "scenario": name}) for name in names]
+        self.ensemble = Ensemble([setups[place % len(setups)] for place in range(num_envs)])
+        self.single_observation_space: spaces.Dict = space_with(setups[0].cloud)
+        self.single_action_space: spaces.Discrete = spaces.Discrete(2)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._everywhere = np.ones(num_envs, np.bool_)
+        self._over = np.zeros(num_envs, np.bool_)  # episodes that have ended and not begun anew
+        self._chance: list[np.random.Generator | None] = [None] * num_envs
+        self._started = False
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draw scenes: of seed, seed + 1, ..., of a list of seeds, or without one going on from the last."""
+        options = options or {}
+        check_names("reset option", options, ["hazard", "reset_mask"])
+        hazard, which = checked_hazard(options.get("hazard")), self._everywhere
+        if "reset_mask" in options:
+            which = _checked_mask(options["reset_mask"], self.num_envs)
+            self._check_started()
+        seeds = [seed] * self.num_envs if seed is None else seed
+        if isinstance(seeds, int):
+            seeds = [seeds + place for place in range(self.num_envs)]
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed must be one number or a list of {self.num_envs}, got {seed!r}")
+        for place in np.flatnonzero(which).tolist():
+            self._start(place, seeds[place], hazard)
+        self._started = True
+        return self._observations(), self._infos(which)
+
+    def step(self, actions: Ints) -> Step:
+        """Decide in every scene, GO or BRAKE, (num_envs,); what happens to ended episodes is the autoreset mode's."""
+        self._check_started()
+        chosen = _checked_actions(actions, self.num_envs)
+        over = self._over.copy()
+        if self.autoreset_mode == AutoresetMode.DISABLED and over.any():
+            raise RuntimeError(f"the episodes of the scenes {np.flatnonzero(over).tolist()} are over: reset them first")
+        going = np.flatnonzero(~over)
+        self.ensemble.step(going, chosen[going])
+        for place in np.flatnonzero(over).tolist():
+            self._start(place)
+        rewards, outcomes = self.ensemble.rewards.copy(), self.ensemble.outcomes
+        truncations = outcomes == TIMED_OUT
+        terminations = (outcomes != UNDER_WAY) & ~truncations
+        self._over = terminations | truncations
+        final = self._begun_anew() if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any() else {}
+        return self._observations(), rewards, terminations, truncations, {**final, **self._infos(self._everywhere)}
+
+    def _begun_anew(self) -> dict[str, Any]:
+        """Start the scenes that are over; what there was to see and to say at their end."""
+        ended, seen = self._over.copy(), np.full(self.num_envs, None, object)
+        for place in np.flatnonzero(ended).tolist():
+            seen[place] = self.ensemble.observation(place)
+        said = self._infos(ended)
+        for place in np.flatnonzero(ended).tolist():
+            self._start(place)
+        return {**masked({"final_obs": seen}, ended), "final_info": said, "_final_info": ended.copy()}
+
+    def _start(self, place: int, seed: int | None = None, hazard: bool | None = None) -> None:
+        """As CADEnv.reset: a seed is the episode's and starts the chance of the later ones."""
+        chance = self._chance[place]
+        if seed is not None or chance is None:
+            chance, _ = np_random(seed)
+            self._chance[place] = chance
+        self.ensemble.start(place, int(chance.integers(2**31)) if seed is None else seed, hazard)
+        self._over[place] = False
+
+    def _observations(self) -> Observation:
+        seen = self.ensemble.observations
+        return {name: part.copy() for name, part in seen.items()} if self.copy else dict(seen)
+
+    def _infos(self, which: Bools) -> dict[str, Any]:
+        lists = self.ensemble.object_lists(which) if self._object_lists else {}
+        return {**self.ensemble.infos(which), **lists}
+
+    def _check_started(self) -> None:
+        if not self._started:
+            raise gym.error.ResetNeeded("Cannot step before the first reset() of all scenes")
+
+
+def _checked_mask(mask: Any, count: int) -> Bools:
+    """The scenes to reset; the errors are those of Gymnasium's own vectors."""
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+        raise TypeError(f"options['reset_mask'] must be a numpy array of bools, got {mask!r}")
+    if mask.shape != (count,) or not mask.any():
+        raise ValueError(f"options['reset_mask'] must hold {count} bools and at least one True, got {mask!r}")
+    return mask
+
+
+def _checked_actions(actions: Any, count: int) -> Ints:
+    """GO or BRAKE for every scene as integers; ValueError for anything else."""
+    chosen = np.asarray(actions)
+    if chosen.shape != (count,) or chosen.dtype.kind not in "iuf" or not ((chosen == GO) | (chosen == BRAKE)).all():
+        raise ValueError(f"actions must be {count} times {GO} (go) or {BRAKE} (brake), got {actions!r}")
+    return chosen.astype(np.int64)

@@ -1,0 +1,1 @@
+"""Points of a lidar, which vehicles may share in place of graphs."""

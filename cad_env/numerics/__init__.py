@@ -1,0 +1,1 @@
+"""Compilation, random numbers and other numerics that know nothing of driving."""

@@ -1,0 +1,105 @@
+"""The one way this project compiles a function: numba, cached, with a cache that cannot go stale.
+
+Numba's own cache notices a change in the file of a compiled function, but not in the files of the functions
+it calls. Here the cache folder is named after the content of every source file of the function's package and of
+this one, so any edit anywhere starts a new cache. It lives in the user's cache folder, so a read-only installation
+works.
+"""
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+from numba.core import config as numba_config
+
+PACKAGE = Path(__file__).parent.parent  # cad_env
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile `function` to machine code at its first call; with NUMBA_DISABLE_JIT=1 return it as it is."""
+    return _compiled(function, from_python=True)
+
+
+def compiled_part(function: Function) -> Function:
+    """As `compiled`, without a way in from Python, which compiles faster. Only compiled functions may call the result.
+
+    Called from Python it ends the process: numba does not check.
+    """
+    return _compiled(function, from_python=False)
+
+
+def inlined(function: Function) -> Function:
+    """As `compiled`, and copied into its compiled callers, for what inner loops call.
+
+    A record of arrays is handed over as hundreds of numbers: such a call costs 0.1 us.
+    """
+    return _compiled(function, from_python=True, inline=True)
+
+
+def inlined_part(function: Function) -> Function:
+    """As `inlined`, without a way in from Python: see `compiled_part`."""
+    return _compiled(function, from_python=False, inline=True)
+
+
+def _compiled(function: Function, from_python: bool, inline: bool = False) -> Function:
+    before = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(cache_folder(_package(function)))
+    try:
+        # error_model="numpy": a division by zero gives inf as in numpy, and the check costs nothing.
+        compiler = numba.njit(  # type: ignore[call-overload]  # the last three are not in numba's stubs
+            cache=True, error_model="numpy", forceinline=inline, no_cpython_wrapper=not from_python,
+            no_cfunc_wrapper=not from_python,
+        )  # fmt: skip
+        return cast(Function, compiler(function))
+    finally:
+        numba_config.CACHE_DIR = before
+
+
+@cache
+def announce_compilation(function: str) -> None:
+    """Say once on stderr that the machine code of `module.function` is yet to be made, which takes a while."""
+    here = cache_folder()
+    if not numba_config.DISABLE_JIT and next(here.rglob(f"{function}-*.nbi"), None) is None:
+        print("cad_env: compiling the simulation for this machine, about half a minute, once", file=sys.stderr)
+
+
+def version() -> str:
+    """Twelve letters that change with any edit of the scenes and of what runs in them: results are marked with it."""
+    return cache_folder().name[:12]
+
+
+def _package(function: Callable[..., Any]) -> Path:
+    """The folder of the top-level package, or of the single module, that a function is from."""
+    source = sys.modules[function.__module__.partition(".")[0]].__file__
+    return Path(source).parent if source else PACKAGE
+
+
+@cache
+def cache_folder(package: Path = PACKAGE) -> Path:
+    """The folder of machine code that belongs to exactly this version of the sources in `package` and here."""
+    digest = hashlib.sha256()
+    for folder in sorted({package, PACKAGE}):
+        for source in sorted(folder.rglob("*.py")):
+            digest.update(source.read_bytes())
+    name = digest.hexdigest()[:16]
+    for parent in _candidate_parents():
+        folder = parent / "cad-env" / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="cad-env-"))
+
+
+def _candidate_parents() -> list[Path]:
+    chosen = [os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")]
+    return [Path(p) for p in chosen if p] + [Path(os.path.expanduser("~")) / ".cache"]

@@ -1,0 +1,80 @@
+"""highway-env's viewer with layers over it: what `render()` of every environment shows."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pygame
+from highway_env.envs.common.graphics import EnvViewer
+from highway_env.road.graphics import LaneGraphics, RoadGraphics
+from highway_env.road.lane import AbstractLane
+
+from cad_env.rendering.canvas import Canvas, Colour
+from cad_env.rendering.framing import focus
+from cad_env.rendering.layers import LAYERS, Layer
+from cad_env.rendering.legend import draw_legend
+from cad_env.types import Floats, Image
+
+GRASS, TARMAC = (128, 140, 112), (98, 98, 102)
+
+
+class SceneViewer(EnvViewer):
+    """Draws the `simulation`, `road` and `vehicle` of an environment by the display settings of its `config`.
+
+    `layers` in the config names what is drawn over highway-env's own picture, which is turned north up.
+    """
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self.canvas = Canvas(*self.sim_surface.get_size())
+        self._ground: tuple[Any, pygame.Surface] | None = None
+
+    def display(self, extra: Sequence[Layer] = ()) -> None:
+        """Draw one frame; `extra` layers come last."""
+        canvas, simulation = self.canvas, self.env.simulation
+        scaling = self.sim_surface.scaling  # the stock viewer's keys zoom and shift its surface
+        canvas.look_at(focus(simulation, canvas.size / scaling), self.sim_surface.centering_position, scaling)
+        self._draw_ground()
+        RoadGraphics.display_traffic(self.env.road, canvas.surface, offscreen=True)
+        canvas.turn_north_up()
+        for name, draw in LAYERS.items():
+            if name in self.config["layers"]:
+                draw(simulation, canvas)
+        for draw in extra:
+            draw(simulation, canvas)
+        draw_legend(canvas, self.config["layers"])
+        self.sim_surface.blit(canvas.shown(), (0, 0))
+        if not self.offscreen:
+            self.screen.blit(self.sim_surface, (0, 0))
+            if self.config["real_time_rendering"]:
+                self.clock.tick(self.config["policy_frequency"])
+            pygame.display.flip()
+
+    def _draw_ground(self) -> None:
+        """The roads, drawn anew only when the picture looks elsewhere."""
+        surface, network = self.canvas.surface, self.env.road.network
+        place = (id(network), *surface.origin, surface.scaling)
+        if self._ground is None or self._ground[0] != place:
+            surface.fill(GRASS)
+            for lane in network.lanes_list():
+                _pave(self.canvas, lane, TARMAC)
+            for lane in network.lanes_list():
+                LaneGraphics.display(lane, surface)
+            self._ground = place, surface.copy()
+        surface.blit(self._ground[1], (0, 0))
+
+
+def picture(env: Any, extra: Sequence[Layer] = ()) -> Image:
+    """What `env.render()` shows in mode rgb_array, (H, W, 3) uint8, with `extra` layers; in any mode but human."""
+    if env.viewer is None:
+        env.viewer = SceneViewer(env)
+    env.viewer.display(extra)
+    image: Image = env.viewer.get_image()
+    return image
+
+
+def _pave(canvas: Canvas, lane: AbstractLane, colour: Colour) -> None:
+    arcs = np.linspace(0.0, lane.length, max(int(lane.length / 2.0), 2))
+    sides = [np.array([lane.position(s, side * 0.5 * lane.width_at(s)) for s in arcs]) for side in (-1, 1)]
+    outline: Floats = np.concatenate([sides[0], sides[1][::-1]])
+    pygame.draw.polygon(canvas.surface, colour, [canvas.surface.vec2pix(point) for point in outline])

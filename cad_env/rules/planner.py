@@ -1,0 +1,280 @@
+"""The rules: brake if going now would end in a contact. On any knowledge: own, shared or true.
+
+The ego runs along its way as its driver would; every other vehicle keeps its velocity. Only crossing and oncoming
+vehicles count: following the stream is the driver model's work. A vehicle's body is lengthened by what it travels
+in `ahead` and `behind` seconds, so that the ego neither cuts in before it nor slips in just behind it: this
+*waiting* rule is what a clone can learn from what it sees (a clone that copies a close shave misses it).
+Once waiting would leave the ego in the way, only true contacts count: it goes if that is free and braking is not.
+Before a stretch on which it drives in a lane of oncoming traffic the ego looks as far ahead as it needs to be through
+with it, and waits at its gate: once it is out there, braking does not help.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from cad_env.config import check_range
+from cad_env.numerics.jit import compiled
+from cad_env.rules.motion import fit_motion, lane_heading
+from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, TRUCK, Floats, Ints, Observation
+from cad_env.world.drivers import COMMANDED_BRAKING, idm_acceleration
+from cad_env.world.geometry import boxes_touch
+from cad_env.world.state import COMMAND_DELAY, OFF, Routes, World
+
+SLOWEST = 1.5  # m/s, below which a vehicle is taken to stand
+CROSSING = math.radians(40)  # rad between the ego's heading and another's, above which it is not the same stream
+CAR_SIZE, TRUCK_SIZE = (4.8, 2.0), (12.0, 2.6)  # m, what a track of each class is taken to be
+
+
+class Rule(NamedTuple):
+    """A PlannerConfig as compiled code sees it."""
+
+    look_ahead: float
+    ahead: float
+    behind: float
+    margin: float
+    gate: float
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """How careful the rules are."""
+
+    look_ahead: float = 2.0  # s; longer, and it brakes for what no connected vehicle can see yet
+    ahead: float = 0.7  # s of its travel by which a vehicle is lengthened in front ...
+    behind: float = 2.0  # s ... and behind
+    margin: float = 0.5  # m around every vehicle
+    gate: float = 15.0  # m before an oncoming lane, where all of the way through it must be free
+
+    def __post_init__(self) -> None:
+        check_range("look_ahead", self.look_ahead, STEP, 30.0)
+        check_range("ahead", self.ahead, 0.0, 10.0)
+        check_range("behind", self.behind, 0.0, 10.0)
+        check_range("margin", self.margin, 0.0, 5.0)
+        check_range("gate", self.gate, 0.0, 80.0)
+
+    @property
+    def rule(self) -> Rule:
+        """The compiled code's view."""
+        return Rule(float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin), float(self.gate))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a privileged policy is given: the world itself, and which row it drives."""
+
+    world: World
+    routes: Routes
+    row: int
+
+
+class Truths(Protocol):
+    """The same of the egos of n scenes, which know how to ask all of them."""
+
+    def decided(self, rule: Rule) -> Ints:
+        """The expert's decisions, (n,)."""
+
+
+@compiled
+def box_on_way(way: Floats, arc: float) -> tuple[float, float, float]:
+    """(x, y, heading) at an arc length along a polyline whose points are ROUTE_SPACING apart."""
+    last = way.shape[0] - 2
+    index = min(max(int(arc / ROUTE_SPACING), 0), last)
+    share = arc / ROUTE_SPACING - index
+    dx, dy = way[index + 1, 0] - way[index, 0], way[index + 1, 1] - way[index, 1]
+    return way[index, 0] + share * dx, way[index, 1] + share * dy, math.atan2(dy, dx)
+
+
+@compiled
+def contact_ahead(way: Floats, ego: Floats, others: Floats, braking: bool, seconds: float, ahead: float,
+                  behind: float, margin: float) -> bool:  # fmt: skip
+    """True if the ego would touch a crossing vehicle within `seconds`.
+
+    way (P, 2) m, from the ego's position on; ego (4,) speed, wanted speed, length, width;
+    others (n, 6) x, y, heading, speed, length, width, in the frame of the way.
+    """
+    speed, arc, time = ego[0], 0.0, 0.0
+    for step in range(int(seconds / STEP) + 1):
+        x, y, heading = box_on_way(way, arc)
+        for k in range(others.shape[0]):
+            pace = others[k, 3]
+            turn = others[k, 2] - heading
+            if pace < SLOWEST or math.cos(turn) > math.cos(CROSSING):
+                continue
+            shift = pace * (time + 0.5 * (ahead - behind))
+            if boxes_touch(
+                x, y, heading, ego[2] + 2.0 * margin, ego[3] + 2.0 * margin,
+                others[k, 0] + shift * math.cos(others[k, 2]), others[k, 1] + shift * math.sin(others[k, 2]),
+                others[k, 2], others[k, 4] + pace * (ahead + behind), others[k, 5],
+            ):  # fmt: skip
+                return True
+        acceleration = idm_acceleration(speed, ego[1], math.inf, 0.0)
+        if braking:  # until the brake bites the ego rolls on
+            acceleration = 0.0 if step < COMMAND_DELAY else -COMMANDED_BRAKING
+        arc += speed * STEP
+        speed = max(speed + acceleration * STEP, 0.0)
+        time += STEP
+    return False
+
+
+@compiled
+def seconds_for(ego: Floats, distance: float) -> float:
+    """Seconds that the ego (4,) takes for a distance, m, if it goes."""
+    speed, arc, time = ego[0], 0.0, 0.0
+    while arc < distance:
+        arc += speed * STEP
+        speed += idm_acceleration(speed, ego[1], math.inf, 0.0) * STEP
+        time += STEP
+    return time
+
+
+@compiled
+def stopping_distance(speed: float) -> float:
+    """m that the ego still covers if it brakes now."""
+    return speed * COMMAND_DELAY * STEP + 0.5 * speed * speed / COMMANDED_BRAKING
+
+
+@compiled
+def oncoming_stretch(oncoming: Ints, spacing: float) -> tuple[float, float]:
+    """(m, m) from where to where the way is in an oncoming lane, by its points (P,) so many metres apart; inf: not."""
+    start = end = math.inf
+    for p in range(oncoming.shape[0]):
+        if oncoming[p]:
+            start, end = min(start, p * spacing), (p + 1) * spacing
+        elif start < math.inf:
+            break
+    return start, end
+
+
+@compiled
+def decide(way: Floats, ego: Floats, others: Floats, stretch: tuple[float, float], rule: Rule) -> int:
+    """GO or BRAKE by the rules of this module; `stretch` as from `oncoming_stretch`, the rest as in `contact_ahead`."""
+    seconds, ahead, behind = rule.look_ahead, rule.ahead, rule.behind
+    if stretch[0] <= rule.gate:
+        seconds = max(seconds, seconds_for(ego, stretch[1]))
+        if stretch[0] < stopping_distance(ego[0]):  # too late to wait: only true contacts count
+            ahead = behind = 0.0
+    if not contact_ahead(way, ego, others, False, seconds, ahead, behind, rule.margin):
+        return GO
+    going = contact_ahead(way, ego, others, False, seconds, 0.0, 0.0, rule.margin)
+    stopping = contact_ahead(way, ego, others, True, seconds, 0.0, 0.0, rule.margin)
+    return GO if stopping and not going else BRAKE
+
+
+@compiled
+def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
+    """The expert's decision for one vehicle of the world."""
+    count = world.speed.shape[0]
+    others = np.empty((count, 6))
+    n = 0
+    for k in range(count):
+        if k == row or world.driver[k] == OFF:
+            continue
+        others[n, 0], others[n, 1] = world.position[k, 0], world.position[k, 1]
+        others[n, 2], others[n, 3] = world.heading[k], world.speed[k]
+        others[n, 4], others[n, 5] = world.size[k, 0], world.size[k, 1]
+        n += 1
+    last = routes.point.shape[1] - 1
+    route = world.route[row]
+    here = min(int(world.progress[row] / routes.spacing + 0.5), last)
+    stretch = oncoming_stretch(routes.oncoming[route, here:], routes.spacing)
+    seen = rule.look_ahead * max(world.speed[row], world.target_speed[row])
+    if stretch[0] <= rule.gate:
+        seen = max(seen, stretch[1])
+    way = np.empty((int(seen / ROUTE_SPACING) + 3, 2))
+    for p in range(way.shape[0]):
+        index = min(int((world.progress[row] + p * ROUTE_SPACING) / routes.spacing + 0.5), last)
+        way[p, 0], way[p, 1] = routes.point[route, index, 0], routes.point[route, index, 1]
+    way[0, 0], way[0, 1] = world.position[row, 0], world.position[row, 1]
+    ego = np.array([world.speed[row], world.target_speed[row], world.size[row, 0], world.size[row, 1]])
+    return decide(way, ego, others[:n], stretch, rule)
+
+
+@compiled
+def way_of(route: Floats) -> Floats:
+    """The way from the ego on, which is the origin, (P + 1, 2) m, by the route (P, 2) of an observation."""
+    way = np.zeros((route.shape[0] + 1, 2))
+    for p in range(route.shape[0]):
+        way[p + 1, 0], way[p + 1, 1] = route[p, 0], route[p, 1]
+    return way
+
+
+@compiled
+def known_vehicles(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, way: Floats) -> Floats:
+    """Every track of an observation whose motion is known, as a row (n, 6) of `others` in `contact_ahead`."""
+    others = np.empty((mask.shape[0], 6))
+    n = 0
+    for k in range(mask.shape[0]):
+        if fit_motion(tracks[k], mask[k], odometry, others[n]):
+            others[n, 2] = lane_heading(way, others[n, 2])
+            length, width = TRUCK_SIZE if kind[k] == TRUCK else CAR_SIZE
+            others[n, 4], others[n, 5] = length, width
+            n += 1
+    return others[:n]
+
+
+@compiled
+def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
+                   oncoming: Ints, rule: Rule) -> int:  # fmt: skip
+    """The planner's decision on the fields of an observation."""
+    way = way_of(route)
+    others = known_vehicles(tracks, mask, kind, odometry, way)
+    stretch = oncoming_stretch(oncoming, ROUTE_SPACING)
+    return decide(way, ego.astype(np.float64), others, stretch, rule)
+
+
+@compiled
+def decide_on_views(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
+                    oncoming: Ints, rule: Rule, chosen: Ints) -> None:  # fmt: skip
+    """Write the planner's decisions on observations, stacked along a first axis, to chosen (n,)."""
+    for k in range(chosen.shape[0]):
+        chosen[k] = decide_on_view(tracks[k], mask[k], kind[k], odometry[k], ego[k], route[k], oncoming[k], rule)
+
+
+@dataclass
+class Planner:
+    """The rules on what the ego knows: the planner-own and planner-shared contenders, by what is shared with it."""
+
+    config: PlannerConfig = field(default_factory=PlannerConfig)
+    privileged: bool = False
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget: the rules have no memory."""
+
+    def act(self, observation: Observation) -> int:
+        """GO or BRAKE on an observation."""
+        seen = observation
+        return decide_on_view(
+            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"],
+            seen["oncoming"], self.config.rule,
+        )  # fmt: skip
+
+    def act_batch(self, observations: Observation) -> Ints:
+        """GO or BRAKE, (n,), on observations stacked along a first axis."""
+        seen, chosen = observations, np.empty(len(observations["mask"]), np.int64)
+        decide_on_views(
+            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"],
+            seen["oncoming"], self.config.rule, chosen,
+        )  # fmt: skip
+        return chosen
+
+
+@dataclass
+class Expert:
+    """The same rules on the truth: whom the networks imitate."""
+
+    config: PlannerConfig = field(default_factory=PlannerConfig)
+    privileged: bool = True
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget: the rules have no memory."""
+
+    def act(self, observation: Truth) -> int:
+        """GO or BRAKE on the truth."""
+        return decide_on_truth(observation.world, observation.routes, observation.row, self.config.rule)
+
+    def act_batch(self, observations: Truths) -> Ints:
+        """GO or BRAKE, (n,), in n scenes."""
+        return observations.decided(self.config.rule)

@@ -1,0 +1,141 @@
+"""The one closed loop for a fleet: a multi-agent environment + policies -> FleetEpisode."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cad_env.envs.parallel import CADParallelEnv
+from cad_env.scoring.rollout import BatchPolicy
+from cad_env.types import BRAKE, STEP, Ints, Observation, Policy
+
+
+@dataclass(frozen=True)
+class AgentEpisode:
+    """What happened to one agent."""
+
+    name: str
+    outcome: str  # success, collision, timeout or waited
+    waits: bool  # True: it could not get through, and was only to stand
+    action: Ints  # (n,) int8, its decisions, one every 0.1 s until its outcome
+    bytes_sent: int  # until its outcome
+    bytes_received: int
+    messages_lost: int  # on their way to it
+
+    @property
+    def time(self) -> float:
+        """s until the outcome."""
+        return len(self.action) * STEP
+
+    @property
+    def brakes(self) -> int:
+        """Decisions to brake."""
+        return int((self.action == BRAKE).sum())
+
+
+@dataclass(frozen=True)
+class FleetEpisode:
+    """What happened to all agents of a scene: the unit of evaluation."""
+
+    scenario: str
+    contender: str
+    seed: int
+    hazard: bool
+    agents: tuple[AgentEpisode, ...]
+
+    @property
+    def collisions(self) -> int:
+        """Agents that collided."""
+        return sum(agent.outcome == "collision" for agent in self.agents)
+
+    @property
+    def time(self) -> float:
+        """s until the last agent was done."""
+        return max(agent.time for agent in self.agents)
+
+
+# Called before every decision with the environment, what the agents see, and what they chose, by name.
+FleetWatch = Callable[[CADParallelEnv, Mapping[str, Observation], Mapping[str, int]], None]
+
+
+def rollout_fleet(
+    env: CADParallelEnv,
+    policies: Policy | Mapping[str, Policy],
+    seed: int,
+    contender: str = "",
+    hazard: bool | None = None,
+    watch: FleetWatch | None = None,
+) -> FleetEpisode:
+    """Drive every agent of an episode to its end.
+
+    policies: one for all agents, or agent name -> Policy, with one for every agent of the scene. A policy that several
+    agents share must keep no memory of what it saw; it decides for all of them at once if it can (`act_batch`). Every
+    policy is reset once, with the seed of the episode. Privileged ones are given `env.truth(agent)`.
+    """
+    observations, infos = env.reset(seed=seed, options={"hazard": hazard})
+    drivers = _drivers(policies, env.agents, env.possible_agents)
+    for policy in {id(policy): policy for policy in drivers.values()}.values():
+        policy.reset(seed)
+    records = {agent: _Record(info["waits"]) for agent, info in infos.items()}
+    while env.agents:
+        actions = _decisions(env, drivers, observations)
+        if watch is not None:
+            watch(env, observations, actions)
+        observations, _, _, _, infos = env.step(actions)
+        for agent, info in infos.items():
+            records[agent].add(actions[agent], info)
+    agents = tuple(records[agent].episode(agent, env.outcomes[agent]) for agent in records)
+    simulation = env.simulation
+    return FleetEpisode(simulation.scenario.name, contender, seed, simulation.scene.hazard, agents)
+
+
+def _drivers(policies: Any, agents: list[str], possible: list[str]) -> dict[str, Policy]:
+    """Who drives each agent; ValueError for names that no agent has, and for agents without a policy."""
+    if not isinstance(policies, Mapping):
+        return dict.fromkeys(agents, policies)
+    unknown = [name for name in policies if name not in possible]
+    missing = [name for name in agents if name not in policies]
+    if unknown or missing:
+        raise ValueError(f"policies must name {', '.join(agents)}; unknown: {unknown}, missing: {missing}")
+    return {agent: policies[agent] for agent in agents}
+
+
+def _decisions(
+    env: CADParallelEnv, drivers: Mapping[str, Policy], observations: Mapping[str, Observation]
+) -> dict[str, int]:
+    """What everybody decides on what is now; agents of one policy together if it decides in batches."""
+    together: dict[int, list[str]] = {}
+    for agent in env.agents:
+        together.setdefault(id(drivers[agent]), []).append(agent)
+    actions: dict[str, int] = {}
+    for agents in together.values():
+        policy = drivers[agents[0]]
+        if policy.privileged:
+            chosen: Any = [policy.act(env.truth(agent)) for agent in agents]
+        elif isinstance(policy, BatchPolicy):
+            keys = observations[agents[0]]
+            chosen = policy.act_batch({key: np.stack([observations[agent][key] for agent in agents]) for key in keys})
+        else:
+            chosen = [policy.act(observations[agent]) for agent in agents]
+        actions.update(zip(agents, map(int, chosen), strict=True))
+    return actions
+
+
+class _Record:
+    """An agent's episode under way."""
+
+    def __init__(self, waits: bool) -> None:
+        self.waits = waits
+        self.action: list[int] = []
+        self.sent = self.received = self.lost = 0
+
+    def add(self, action: int, info: Mapping[str, Any]) -> None:
+        self.action.append(action)
+        self.sent += info["bytes_sent"]
+        self.received += info["bytes_received"]
+        self.lost += info["messages_lost"]
+
+    def episode(self, name: str, outcome: str) -> AgentEpisode:
+        action = np.array(self.action, np.int8)
+        return AgentEpisode(name, outcome, self.waits, action, self.sent, self.received, self.lost)

@@ -1,0 +1,1 @@
+"""One episode, or many side by side: what every environment stands on."""

@@ -1,0 +1,122 @@
+"""Many scenes side by side, moved by the compiled loops: what the vector environment and `rollouts` stand on."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cad_env.lidar.config import CloudConfig
+from cad_env.simulation.cloud_exchange import exchange
+from cad_env.simulation.scene_step import Board, Truths, play
+from cad_env.simulation.simulation import COLLISION, OUTCOMES, REFUSALS, SUCCESS, Setup, Simulation
+from cad_env.types import Bools, Ints, Observation
+
+_OUTCOMES, _REFUSALS = np.array(OUTCOMES, object), np.array(REFUSALS, object)
+
+
+class Ensemble:
+    """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
+
+    def __init__(self, setups: Sequence[Setup]) -> None:
+        self.board = Board(
+            len(setups), _one_cloud(setups)
+        )  # for compiled loops of one's own: `cad_env.simulation.scene_step.scene_at`
+        self.simulations = [Simulation(setup, self.board, place) for place, setup in enumerate(setups)]
+        self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
+        # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
+        self.observations: Observation = {
+            name: part[:, 0] for name, part in zip(self.board.views._fields, self.board.views, strict=True)
+        }
+        if self.board.clouds is not None:
+            self.observations.update(self.board.clouds._asdict())
+
+    def __len__(self) -> int:
+        return len(self.simulations)
+
+    def start(self, place: int, seed: int, hazard: bool | None = None) -> None:
+        """Begin the episode of a seed in a scene."""
+        simulation = self.simulations[place]
+        simulation.start(seed, hazard, receivers=1)
+        for name, value in simulation.episode_info().items():
+            if name not in self._episodes:
+                self._episodes[name] = np.zeros(len(self), float if value is None else type(value))
+            self._episodes[name][place] = value  # numpy, as Gymnasium's own vectors, makes NaN of None
+
+    def step(self, which: Ints, actions: Ints) -> None:
+        """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
+        play(self.board.shelf, which, actions, True)
+        if self.board.clouds is not None:
+            every = [self.simulations[place].sharing for place in which.tolist()]
+            exchange([sharing for sharing in every if sharing is not None], self.board.rooms)
+
+    def observation(self, place: int) -> Observation:
+        """A copy of what the ego of one scene decides on."""
+        return {name: part[place].copy() for name, part in self.observations.items()}
+
+    @property
+    def outcomes(self) -> Ints:
+        """(S,) int8 how each episode stands, by the numbers of `cad_env.simulation.scene_step`; filled anew by every step."""
+        return self.board.told.outcome
+
+    @property
+    def rewards(self) -> NDArray[np.float64]:
+        """(S,) of the newest step; filled anew by every step."""
+        return self.board.told.reward
+
+    def told(self, name: str) -> NDArray[Any]:
+        """(S,) one of the numbers of `cad_env.simulation.scene_step.Told`; filled anew by every step."""
+        part: NDArray[Any] = getattr(self.board.told, name)
+        return part
+
+    def truths(self, which: Ints) -> Truths:
+        """The worlds of the scenes `which`, for a privileged policy."""
+        return Truths(self.board, which)
+
+    def infos(self, which: Bools) -> dict[str, Any]:
+        """What info says of the newest step of the scenes `which` (S,), as Gymnasium's vectors say it.
+
+        For every name of a single environment's info there are the values, (S,), and a mask `_name` of who has one.
+        """
+        told = self.board.told
+        outcome = _OUTCOMES[told.outcome]
+        values = {
+            **self._episodes,
+            "speed": told.speed,
+            "crashed": outcome == COLLISION,
+            "outcome": outcome,
+            "is_success": outcome == SUCCESS,
+            "min_ttc": told.min_ttc,
+            "bytes_sent": told.bytes_sent,
+            "bytes_received": told.bytes_received,
+            "largest_message": told.largest_message,
+            "messages_sent": told.messages_sent,
+            "messages_lost": told.messages_lost,
+            "refused": _REFUSALS[told.refused],
+        }
+        return masked(values, which)
+
+    def object_lists(self, which: Bools) -> dict[str, Any]:
+        """As `infos`, the objects that each connected vehicle of each scene tracks by itself."""
+        lists = np.full(len(self), None, object)
+        for place in np.flatnonzero(which):
+            lists[place] = self.simulations[place].object_lists()
+        return masked({"object_lists": lists}, which)
+
+
+def _one_cloud(setups: Sequence[Setup]) -> CloudConfig | None:
+    """How all the scenes share points, or None; ValueError if their observations would not be of one shape."""
+    clouds = [setup.cloud for setup in setups]
+    shapes = {cloud and (cloud.merged, cloud.codec.width) for cloud in clouds}
+    if len(shapes) > 1:
+        raise ValueError(f"scenes side by side must all share graphs or clouds of one shape, got {shapes}")
+    return clouds[0] if clouds else None
+
+
+def masked(values: dict[str, NDArray[Any]], which: Bools) -> dict[str, Any]:
+    """Copies of arrays (S,) with nothing (0, False, None) where `which` is not set, each with its mask beside it."""
+    infos: dict[str, Any] = {}
+    for name, value in values.items():
+        infos[name], infos[f"_{name}"] = value.copy(), which.copy()
+        infos[name][~which] = None if value.dtype == object else 0
+    return infos

@@ -1,0 +1,199 @@
+"""A scene under way as one record, and the compiled loops that move one such scene or a thousand.
+
+Every environment steps its scenes by `play`. It takes them from the shelf of a board, where each has its own numbers of
+vehicles, and a call from Python costs next to nothing however many arrays a scene has.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import typeof
+
+from cad_env.config import RadioConfig, SensorConfig
+from cad_env.lidar.config import CloudConfig, CloudView, empty_cloud_view
+from cad_env.numerics.jit import compiled, inlined, inlined_part
+from cad_env.numerics.record_array import new_shelf, put, take
+from cad_env.pipeline.observe import View, empty_view
+from cad_env.pipeline.radio import ACCEPTED, Link, link_of
+from cad_env.pipeline.sense import Sensing, sensing
+from cad_env.pipeline.step import Fleet, Report, new_fleet, run
+from cad_env.rules.planner import Rule, decide_on_truth
+from cad_env.types import FRAMES, Bytes, Floats, Ints
+from cad_env.world.state import Routes, World, empty_routes, empty_world
+from cad_env.world.step import advance
+from cad_env.world.time_to_contact import time_to_contact
+
+MAX_STEPS = 300  # decisions: 30 s
+# How it stands for a vehicle, as compiled code knows it, and the reward that comes with it.
+UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3
+FINAL_REWARDS = (0.0, 1.0, -1.0, 0.0)
+
+
+class Told(NamedTuple):
+    """What the newest step came to, for the ego: the numbers of info dicts. Of many scenes (S,), of one (1,)."""
+
+    outcome: Ints  # int8
+    reward: Floats  # the share of its way that it covered, and the final one
+    progress: Floats  # m along its route
+    speed: Floats  # m/s
+    min_ttc: Floats  # s, least time to contact so far
+    bytes_sent: Ints  # by all connected vehicles, as what follows
+    bytes_received: Ints  # by the ego
+    largest_message: Ints  # bytes
+    messages_sent: Ints
+    messages_lost: Ints  # on their way to the ego
+    refused: Ints  # why the first message that was refused was, 0 if none was
+
+
+class LiveScene(NamedTuple):
+    """V connected vehicles among N, of which the first R merge, observe and decide."""
+
+    world: World
+    routes: Routes
+    fleet: Fleet
+    sensor: Sensing
+    link: Link
+    depth: int  # newest frames in a message
+    keys: Ints  # (2, 2) uint64 of the streams of chance
+    clock: Ints  # (1,) decisions so far
+    actions: Ints  # (V,) GO or BRAKE
+    goal: float  # m along its route, where the ego has arrived
+    way: float  # m from its start to there
+    told: Told
+    scratch: Floats  # (N,)
+
+
+class Board:
+    """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
+
+    def __init__(self, places: int, cloud: CloudConfig | None = None) -> None:
+        self.told = _nothing_told(places)
+        self.views: View = empty_view(places, 1)  # what each ego decides on
+        self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
+        self.rooms: list[Bytes] = []  # scratch: for clouds before they are encoded
+        self._scenes: dict[int, LiveScene] = {}  # whose arrays the shelf borrows
+        self.shelf: Any = new_shelf(KIND, places, self._scenes)
+
+    def told_at(self, place: int) -> Told:
+        """The part of the scene at `place`."""
+        return Told(*(part[place : place + 1] for part in self.told))
+
+    def views_at(self, place: int) -> View:
+        """The part of the scene at `place`, (1, ...)."""
+        return View(*(part[place] for part in self.views))
+
+    def clouds_at(self, place: int) -> CloudView | None:
+        """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
+        return self.clouds and CloudView(*(part[place] for part in self.clouds))
+
+    def put(self, place: int, scene: LiveScene) -> None:
+        """Let a new scene take a place."""
+        _put(self.shelf, place, scene)
+        self._scenes[place] = scene
+
+
+def _nothing_told(scenes: int) -> Told:
+    numbers = (np.zeros(scenes) for _ in range(4))
+    return Told(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(6)))
+
+
+def _kind() -> Any:
+    """The type of every live scene, told by one of nobody."""
+    link = link_of(RadioConfig())
+    return typeof(
+        LiveScene(
+            empty_world(0), empty_routes(), new_fleet(np.zeros(1, np.int64), 0, 1, link), sensing(SensorConfig()), link,
+            FRAMES, np.zeros((2, 2), np.uint64), np.zeros(1, np.int64), np.zeros(1, np.int64), 0.0, 0.0,
+            _nothing_told(1), np.zeros(0),
+        )
+    )  # fmt: skip
+
+
+KIND = _kind()
+
+
+@compiled
+def _put(shelf: Any, place: int, scene: LiveScene) -> None:
+    put(shelf, place, KIND, scene)
+
+
+@inlined_part
+def scene_at(shelf: Any, place: int) -> LiveScene:
+    """The live scene at a place of a board's shelf, borrowed, for compiled loops."""
+    scene: LiveScene = take(shelf, place, KIND)
+    return scene
+
+
+@compiled
+def play(shelf: Any, which: Ints, actions: Ints, moves: bool) -> None:
+    """One decision in the scenes `which` (n,), whose egos decide `actions` (n,): 0.1 s passes, and everybody perceives.
+
+    Without `moves` no time passes: everybody perceives what there is.
+    """
+    for k in range(which.shape[0]):
+        scene = scene_at(shelf, which[k])
+        if moves:
+            scene.actions[0] = actions[k]
+            advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
+            scene.clock[0] += 1
+        run(
+            scene.world, scene.routes, scene.fleet, scene.sensor, scene.link, scene.depth, scene.keys, scene.clock[0]
+        )  # fmt: skip
+        tell(scene)
+
+
+@compiled
+def verdict(struck: bool, arrived: bool, over: bool) -> int:
+    """How it ended for a vehicle: struck or not, at its goal or not, its time up or not."""
+    if struck:
+        return COLLIDED
+    if arrived:
+        return SUCCEEDED
+    return TIMED_OUT if over else UNDER_WAY
+
+
+@inlined_part
+def tell(scene: LiveScene) -> None:
+    """Write down what the newest step came to."""
+    world, told, air = scene.world, scene.told, scene.fleet.report
+    outcome = verdict(world.struck[0] >= 0, world.progress[0] >= scene.goal, scene.clock[0] >= MAX_STEPS)
+    told.outcome[0], told.speed[0] = outcome, world.speed[0]
+    told.reward[0] = (world.progress[0] - told.progress[0]) / scene.way + FINAL_REWARDS[outcome]
+    told.progress[0] = world.progress[0]
+    told.min_ttc[0] = min(told.min_ttc[0], time_to_contact(world, 0))
+    tell_air(told, air)
+
+
+@inlined
+def tell_air(told: Told, air: Report) -> None:
+    """Write down what the newest step put on the air."""
+    told.bytes_sent[0] = told.largest_message[0] = told.messages_sent[0] = told.refused[0] = 0
+    for v in range(air.sent_bytes.shape[0]):
+        told.bytes_sent[0] += air.sent_bytes[v]
+        told.largest_message[0] = max(told.largest_message[0], air.sent_bytes[v])
+        told.messages_sent[0] += air.refusal[v] == ACCEPTED
+        if told.refused[0] == ACCEPTED:
+            told.refused[0] = air.refusal[v]
+    told.bytes_received[0], told.messages_lost[0] = air.received_bytes[0], air.lost[0]
+
+
+@dataclass(frozen=True)
+class Truths:
+    """What a privileged policy that decides in batches is given: the worlds of some scenes of a board."""
+
+    board: Board
+    which: Ints  # (n,)
+
+    def decided(self, rule: Rule) -> Ints:
+        """What the expert decides for their egos, (n,)."""
+        chosen = np.empty(len(self.which), np.int64)
+        _decide(self.board.shelf, self.which, rule, chosen)
+        return chosen
+
+
+@compiled
+def _decide(shelf: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
+    for k in range(which.shape[0]):
+        scene = scene_at(shelf, which[k])
+        chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)

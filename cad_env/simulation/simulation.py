@@ -1,0 +1,246 @@
+"""One episode: a scene, its world and its fleet of connected vehicles. What every environment stands on.
+
+`Simulation` owns all state of an episode; the Gymnasium and PettingZoo environments only give it actions and hand
+out what it shows.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
+from cad_env.lidar.config import CloudConfig, OwnCloud, cloud_config
+from cad_env.numerics.jit import announce_compilation
+from cad_env.numerics.philox import stream_key
+from cad_env.pipeline.graph_arrays import as_graph
+from cad_env.pipeline.observe import as_observation, empty_view
+from cad_env.pipeline.radio import REASONS, fate, link_of
+from cad_env.pipeline.sense import sensing
+from cad_env.pipeline.step import Fleet, new_fleet
+from cad_env.rules.planner import Truth
+from cad_env.scenarios import scenario_named
+from cad_env.scenarios.ranges import Traffic
+from cad_env.scenarios.scene import Scene, place
+from cad_env.simulation.cloud_exchange import MAX_RANGE, Sharing, exchange
+from cad_env.simulation.scene_step import FINAL_REWARDS, Board, LiveScene, play, verdict
+from cad_env.types import FRAMES, STEP, Floats, Graph, Ints, Observation
+from cad_env.world.state import World
+
+SUCCESS, COLLISION, TIMEOUT = "success", "collision", "timeout"
+OUTCOMES = (None, SUCCESS, COLLISION, TIMEOUT)  # by the numbers of `cad_env.simulation.scene_step`
+FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOMES, FINAL_REWARDS, strict=True)))
+REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything about an environment that is not drawn from the seed."""
+
+    scenario: str = "left_turn"
+    ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
+    traffic: str = "light"  # none, light or dense: how much is on the road around the cast
+    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
+    depth: int = FRAMES  # newest frames in a message
+    cloud: CloudConfig | None = None  # given: points are shared instead of graphs
+
+    def __post_init__(self) -> None:
+        check_range("depth", self.depth, 1, FRAMES)
+        if int(self.depth) != self.depth:
+            raise ValueError(f"depth must be a whole number, got {self.depth!r}")
+        if self.cloud is not None:
+            check_range("sensor range with clouds", self.sensor.range, 1.0, MAX_RANGE)
+        Traffic(self.traffic, self.penetration)
+        scenario_named(self.scenario).configured(dict(self.ranges))
+
+
+def setup_from(options: Mapping[str, Any]) -> Setup:
+    """A Setup from keyword arguments: radio by preset, record or dict, sensor and cloud by record or dict.
+
+    >>> setup_from({"radio": "cv2x"}).radio.budget
+    90000.0
+    >>> setup_from({"radoi": "cv2x"})
+    Traceback (most recent call last):
+    ...
+    ValueError: unknown option radoi='cv2x': choose among cloud, depth, penetration, radio, ranges, scenario, ...
+    """
+    check_names("option", dict(options), [f.name for f in fields(Setup)])
+    given = dict(options)
+    for name, kind in (("radio", RadioConfig), ("sensor", SensorConfig)):
+        if isinstance(given.get(name), Mapping):
+            check_names(f"{name} setting", dict(given[name]), [f.name for f in fields(kind)])
+            given[name] = kind(**given[name])
+    if "radio" in given:
+        given["radio"] = radio_config(given["radio"])
+    given["cloud"] = cloud_config(given.get("cloud"))
+    if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
+        raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
+    if "ranges" in given and not isinstance(given["ranges"], Mapping):
+        raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
+    return Setup(**given)
+
+
+class Simulation:
+    """The state of one episode, and what happens in a decision step; it has a place on a board, alone or not."""
+
+    def __init__(self, setup: Setup, board: Board | None = None, place: int = 0) -> None:
+        self.setup = setup
+        self.scenario = scenario_named(setup.scenario)
+        self.map = self.scenario.map
+        self.ranges = self.scenario.configured(dict(setup.ranges))
+        self.traffic = Traffic(setup.traffic, setup.penetration)
+        self._sensor = sensing(setup.sensor)
+        self._board = board or Board(1, setup.cloud)
+        self._place, self._which = place, np.array([place])
+        link, shown = link_of(setup.radio), self._board.clouds_at(place)
+        self.sharing: Sharing | None = None
+        if setup.cloud is not None and shown is not None:  # points are on the air, and graphs are not
+            self.sharing, link = Sharing(setup.cloud, link, shown), link_of(radio_config("none"))
+        self._link = link
+
+    def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
+        """Begin the episode of a seed. `receivers`: how many of the connected, in order, observe and decide."""
+        announce_compilation("scene_step.play")
+        self.seed = seed
+        self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
+        self.world: World = place(self.scene, self.map.routes)
+        self.agents: Ints = np.array(self.scene.connected, np.int64)
+        vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
+        views = self._board.views_at(self._place) if count == 1 else empty_view(count)
+        self.fleet: Fleet = new_fleet(self.agents, vehicles, count, self._link)._replace(views=views)
+        self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
+        goal, told = self.scene.goal, self._board.told_at(self._place)
+        told.min_ttc[0], told.progress[0] = math.inf, self.world.progress[0]
+        self._live = LiveScene(
+            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys,
+            np.zeros(1, np.int64), np.zeros(len(self.agents), np.int64), float(goal),
+            float(goal - self.world.progress[0]), told, np.zeros(vehicles),
+        )  # fmt: skip
+        self._board.put(self._place, self._live)
+        if self.sharing is not None:
+            self.sharing.start(self._live, seed)
+        self._perceive()
+
+    def step(self, actions: Ints) -> None:
+        """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
+        self._live.actions[:] = actions
+        self._play(True)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_board"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy has a board of its own, whatever board the original has its place on."""
+        self.__dict__.update(state)
+        self._board, self._place, self._which = Board(1), 0, np.zeros(1, np.int64)
+        if "_live" in state:
+            self._board.put(0, self._live)
+
+    def _perceive(self) -> None:
+        self._play(False)
+
+    def _play(self, moves: bool) -> None:
+        play(self._board.shelf, self._which, self._live.actions, moves)
+        if self.sharing is not None:
+            exchange([self.sharing], self._board.rooms)
+
+    def observation(self, agent: int) -> Observation:
+        """What receiver `agent` decides on; the ego, number 0, is the only one that is shown clouds."""
+        seen = as_observation(_at(self.fleet.views, agent))
+        if self.sharing is not None and agent == 0:
+            seen.update(as_observation(self.sharing.view))
+        return seen
+
+    def observations(self) -> list[Observation]:
+        """What every receiver decides on, in their order: one copy of each part for all, and a row of it for each."""
+        views = self.fleet.views
+        parts = {name: part.copy() for name, part in zip(views._fields, views, strict=True)}
+        return [{name: part[k] for name, part in parts.items()} for k in range(len(views.ego))]
+
+    def outcome(self) -> str | None:
+        """success, collision, timeout, or None while the episode of the ego goes on."""
+        return OUTCOMES[self._live.told.outcome.item()]
+
+    def reward(self) -> float:
+        """Of the ego in the newest step: the share of its way that it covered, +1 on arrival, -1 on a collision."""
+        return self._live.told.reward.item()
+
+    def truth(self, agent: int = 0) -> Truth:
+        """The world itself, for a privileged policy."""
+        return Truth(self.world, self.map.routes, int(self.agents[agent]))
+
+    @property
+    def steps(self) -> int:
+        """Decisions since the start."""
+        return int(self._live.clock[0])
+
+    @property
+    def time(self) -> float:
+        """s since the start."""
+        return self.steps * STEP
+
+    def episode_info(self) -> dict[str, Any]:
+        """What info says of a whole episode."""
+        return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_timing": self.scene.timing}
+
+    def info(self) -> dict[str, Any]:
+        """What info says of the newest step, for the ego: plain numbers. `Ensemble.infos` says the same of many."""
+        told = self._live.told
+        outcome = OUTCOMES[told.outcome.item()]
+        return {
+            **self.episode_info(),
+            "speed": told.speed.item(),
+            "crashed": outcome == COLLISION,
+            "outcome": outcome,
+            "is_success": outcome == SUCCESS,
+            "min_ttc": told.min_ttc.item(),
+            "bytes_sent": told.bytes_sent.item(),
+            "bytes_received": told.bytes_received.item(),
+            "largest_message": told.largest_message.item(),
+            "messages_sent": told.messages_sent.item(),
+            "messages_lost": told.messages_lost.item(),
+            "refused": REFUSALS[told.refused.item()],
+        }
+
+    def object_lists(self) -> list[Floats]:
+        """For each connected vehicle, ego first, the (n, 3) m newest positions of the objects it tracks itself."""
+        graphs = [self.own_graph(agent) for agent in range(len(self.agents))]
+        return [graph.position[1:, -1][graph.mask[1:, -1]] for graph in graphs]
+
+    def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
+        """What becomes, in this step, of the message that a sender sent to a receiver (see radio.fate), and its bytes.
+
+        Computed anew when asked, as `deliver` did: nothing is kept of it.
+        """
+        if self.sharing is not None:
+            return self.sharing.arrival(sender, receiver)
+        air = self.fleet.air
+        end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
+        return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])
+
+    @property
+    def clouds(self) -> list[OwnCloud] | None:
+        """Of each connected vehicle, ego first, its thinned points and its pose now; None where graphs are shared."""
+        return None if self.sharing is None else self.sharing.own_clouds()
+
+    def own_graph(self, agent: int) -> Graph:
+        """What connected vehicle `agent` knows by itself."""
+        return as_graph(_at(self.fleet.window, agent), agent, self.time)
+
+    def merged_graph(self, agent: int) -> Graph:
+        """What receiver `agent` knows with what it was sent."""
+        return as_graph(_at(self.fleet.merged, agent), agent, self.time)
+
+
+def outcome_of(struck: bool, arrived: bool, over: bool) -> str | None:
+    """How it ended for a vehicle, or None while it goes on: struck or not, at its goal or not, its time up or not."""
+    return OUTCOMES[verdict(struck, arrived, over)]
+
+
+def _at(stack: Any, index: int) -> Any:
+    return type(stack)(*(part[index] for part in stack))

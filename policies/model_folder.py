@@ -1,0 +1,177 @@
+"""A model on disk: `model.safetensors` and `config.json` in one folder, no pickle, nothing that can run code.
+
+`config.json` names the format, the family, the network's every knob, the brake threshold, the SHA-256 of the weights
+and whatever the training wants to remember. A folder that names no family holds the paper's network.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+import torch
+from safetensors import SafetensorError
+from torch import Tensor, nn
+
+from cad_env.config import check_range
+from cad_env.files import replace_file
+from policies.spec import Driver, Family
+from policies.stgraph.spec import FAMILY as STGRAPH
+
+FORMAT = 1
+WEIGHTS, CONFIG = "model.safetensors", "config.json"
+_KEYS = {"format", "family", "network", "threshold", "sha256", "training"}
+
+Families = Callable[[str], Family]  # a family by its name; ValueError for one that it does not know
+
+
+class ModelError(ValueError):
+    """A model folder that cannot be trusted; one line with the file and the reason."""
+
+    def __init__(self, path: Path, reason: object) -> None:
+        super().__init__(path, str(reason))  # as they came: a worker process hands the error on by its arguments
+
+    def __str__(self) -> str:
+        return " ".join(f"{self.args[0]}: {self.args[1]}".split())
+
+
+def paper_only(name: str) -> Family:
+    """The families of this package: the paper's network and no other."""
+    if name != STGRAPH.name:
+        raise ValueError(f"unknown family {name!r}: only {STGRAPH.name} is known here")
+    return STGRAPH
+
+
+@dataclass(frozen=True)
+class SavedModel:
+    """What a model folder holds."""
+
+    network: nn.Module
+    threshold: float  # brake when P(brake) reaches it
+    training: dict[str, Any] = field(default_factory=dict)  # free-form, what JSON can hold
+    family: Family = STGRAPH
+
+    def driver(self) -> Driver:
+        """The model as a policy."""
+        return self.family.driver(self.network, self.threshold)
+
+    def environment(self) -> dict[str, Any]:
+        """The options of the environment that it needs, beside scenario, radio and depth."""
+        return self.family.environment(self.network)
+
+
+def save_model(folder: str | Path, model: SavedModel) -> None:
+    """Write a model folder, each file whole or not at all; weights first, so that a torn pair is found by its hash.
+
+    Raises ModelError for weights that are not finite, a threshold outside [0, 1] or training notes that JSON refuses.
+    """
+    folder = Path(folder)
+    weights = {name: value.detach().float().contiguous() for name, value in model.network.state_dict().items()}
+    _check_finite(folder / WEIGHTS, weights)
+    data = safetensors.torch.save(weights)
+    config = {
+        "format": FORMAT,
+        "family": model.family.name,
+        "network": asdict(_config_of(model.network)),
+        "threshold": model.threshold,
+        "sha256": hashlib.sha256(data).hexdigest(),
+        "training": model.training,
+    }
+    try:
+        check_range("threshold", model.threshold, 0.0, 1.0)
+        text = json.dumps(config, indent=2, allow_nan=False) + "\n"
+    except (TypeError, ValueError) as error:
+        raise ModelError(folder / CONFIG, error) from None
+    folder.mkdir(parents=True, exist_ok=True)
+    replace_file(folder / WEIGHTS, data)
+    replace_file(folder / CONFIG, text.encode())
+
+
+def _config_of(network: nn.Module) -> Any:
+    return network.config
+
+
+def load_model(folder: str | Path, families: Families = paper_only) -> SavedModel:
+    """Read a model folder; any damage, and a family that `families` does not know, raises ModelError."""
+    folder = Path(folder)
+    config = _read_config(folder / CONFIG)
+    data = _read(folder / WEIGHTS)
+    if hashlib.sha256(data).hexdigest() != config["sha256"]:
+        raise ModelError(folder / WEIGHTS, f"its SHA-256 is not the one in {CONFIG}: truncated or altered")
+    try:
+        family = families(config["family"])
+    except ValueError as error:
+        raise ModelError(folder / CONFIG, error) from None
+    network = _network(folder / CONFIG, family, config["network"])
+    network.load_state_dict(_weights(folder / WEIGHTS, data, network.state_dict()))
+    return SavedModel(network.eval(), float(config["threshold"]), config["training"], family)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ModelError(path, error.strerror or "cannot be read") from None
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    try:
+        config = json.loads(_read(path).decode())
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(path, f"not JSON: {error}") from None
+    if not isinstance(config, dict):
+        raise ModelError(path, f"must hold a JSON object, got {type(config).__name__}")
+    # The version comes first: another version may have other keys.
+    if type(config.get("format")) is not int or config["format"] != FORMAT:
+        raise ModelError(path, f"format must be {FORMAT}, got {config.get('format')!r}")
+    config.setdefault("family", STGRAPH.name)
+    _check_keys(path, "key", config, _KEYS)
+    try:
+        check_range("threshold", config["threshold"], 0.0, 1.0)
+    except ValueError as error:
+        raise ModelError(path, error) from None
+    for name, kind in (("family", str), ("network", dict), ("sha256", str), ("training", dict)):
+        if not isinstance(config[name], kind):
+            raise ModelError(path, f"{name} must be a {kind.__name__}, got {config[name]!r}")
+    return config
+
+
+def _check_keys(path: Path, what: str, given: dict[str, Any], wanted: set[str]) -> None:
+    if unknown := sorted(given.keys() - wanted):
+        raise ModelError(path, f"unknown {what} {unknown[0]!r}: choose among {', '.join(sorted(wanted))}")
+    if missing := sorted(wanted - given.keys()):
+        raise ModelError(path, f"missing {what} {missing[0]!r}")
+
+
+def _network(path: Path, family: Family, knobs: dict[str, Any]) -> nn.Module:
+    _check_keys(path, "network key", knobs, {knob.name for knob in fields(family.config_type)})
+    try:
+        return family.build(family.config_type(**knobs), seed=0)
+    except (ValueError, TypeError) as error:
+        raise ModelError(path, error) from None
+
+
+def _weights(path: Path, data: bytes, wanted: dict[str, Tensor]) -> dict[str, Tensor]:
+    try:
+        weights = safetensors.torch.load(data)
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise ModelError(path, f"not safetensors: {error}") from None
+    _check_keys(path, "tensor", weights, set(wanted))
+    for name, value in weights.items():
+        if value.dtype != torch.float32:
+            raise ModelError(path, f"{name} must be torch.float32, got {value.dtype}")
+        if value.shape != wanted[name].shape:
+            raise ModelError(path, f"{name} must have shape {tuple(wanted[name].shape)}, got {tuple(value.shape)}")
+    _check_finite(path, weights)
+    return weights
+
+
+def _check_finite(path: Path, weights: dict[str, Tensor]) -> None:
+    for name, value in weights.items():
+        if not bool(value.isfinite().all()):
+            raise ModelError(path, f"{name} holds numbers that are not finite")

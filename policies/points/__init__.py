@@ -1,0 +1,1 @@
+"""Networks that read points of a lidar, own and shared."""

@@ -1,0 +1,85 @@
+"""What a kind of network must be able to do, so that one course trains, keeps and drives them all.
+
+A family is everything that differs between networks: their knobs, the environment they need, what is kept of a frame
+for them, and how a batch becomes logits. Recording, DAgger, validation and model folders know only this.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from cad_env.scoring.rollout import BatchPolicy
+from cad_env.simulation.simulation import Simulation
+from cad_env.types import Ints, Observation, Policy
+
+Batch = Mapping[str, NDArray[Any]]  # arrays with a leading dimension B
+Self = TypeVar("Self", bound="Frames")
+
+
+class Frames(Protocol):
+    """F labelled frames of whole episodes, in a form that takes little memory."""
+
+    @property
+    def label(self) -> Ints:
+        """(F,) int8 what the expert would do."""
+
+    def __len__(self) -> int:
+        """F."""
+
+    def batch(self, frames: Ints) -> dict[str, NDArray[Any]]:
+        """What the network reads of some frames, stacked; the shapes behind the first do not depend on them."""
+
+    def joined(self: Self, others: Sequence[Self]) -> Self:
+        """These frames and then the others'."""
+
+
+class Driver(Policy, BatchPolicy, Protocol):
+    """A learned policy: it decides one by one or in batches, and says how sure it is."""
+
+    def brake_probability(self, observations: Batch) -> NDArray[Any]:
+        """P(brake), (n,), for observations stacked along a new first axis."""
+
+
+class Family(Protocol):
+    """One kind of network."""
+
+    @property
+    def name(self) -> str:
+        """In config.json of its models."""
+
+    @property
+    def config_type(self) -> type:
+        """The frozen, checked dataclass of its knobs: what config.json holds of it."""
+
+    @property
+    def kept_as(self) -> type | None:
+        """The dataclass of its frames, of arrays and numbers, if they are dearer to make than to keep on the disk."""
+
+    def build(self, config: Any, seed: int) -> nn.Module:
+        """A new network whose `config` attribute is the given one; `seed` is the only source of its first weights."""
+
+    def environment(self, network: nn.Module) -> dict[str, Any]:
+        """The options of the environment it needs, beside scenario, radio and depth: none for graphs.
+
+        A network that takes part in what is sent (a learned encoder) goes into them as it is then.
+        """
+
+    def replayed(self, network: nn.Module) -> dict[str, Any]:
+        """The options of an environment to replay in: as those of `environment`, without what `look` does not read."""
+
+    def looked_with(self, config: Any) -> dict[str, Any]:
+        """The knobs that `look` and `replayed` read: networks that agree on them learn from the same frames."""
+
+    def look(self, simulation: Simulation, observation: Observation) -> Any:
+        """What is kept of the frame that is being decided on; it must not depend on the network's weights."""
+
+    def frames(self, looks: Sequence[Any], labels: Sequence[int]) -> Frames:
+        """What was looked at, with the expert's labels, as one record."""
+
+    def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
+        """Logits (B, 2) of GO and BRAKE with their gradients."""
+
+    def driver(self, network: nn.Module, threshold: float) -> Driver:
+        """The network as it is now, as a policy that brakes when P(brake) reaches the threshold."""

@@ -1,0 +1,1 @@
+"""The paper's network: a heterogeneous graph attention network over spatiotemporal graphs."""

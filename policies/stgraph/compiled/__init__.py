@@ -1,0 +1,1 @@
+"""The paper's network compiled for the CPU, forward and backward."""

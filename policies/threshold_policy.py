@@ -1,0 +1,87 @@
+"""The learned driver: a trained network and a threshold as a Policy."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from cad_env.config import check_range
+from cad_env.types import Floats, Ints, Observation
+from policies.stgraph.compiled.module import FusedNet, supports
+from policies.stgraph.network import StGraphNet
+
+_AT_ONCE = 256  # graphs in one dense pass, which bounds the memory of a large batch
+
+
+class ThresholdDriver:
+    """Brakes when P(brake) reaches the threshold; decides each scene by itself, alone or in a batch.
+
+    A kind of driver says what it reads of an observation, `keys`, and how sure it is, `brake_probability`.
+    """
+
+    privileged = False
+
+    def __init__(self, keys: Sequence[str], threshold: float) -> None:
+        check_range("threshold", threshold, 0.0, 1.0)
+        self.keys, self.threshold = tuple(keys), threshold
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget and nothing to draw: all memory is in the observation."""
+
+    def act(self, observation: Observation) -> int:
+        """GO or BRAKE for one observation."""
+        return int(self.act_batch({key: observation[key][None] for key in self.keys})[0])
+
+    def act_batch(self, observations: Mapping[str, NDArray[Any]]) -> Ints:
+        """GO or BRAKE, (n,), for observations stacked along a new first axis."""
+        return (self.brake_probability(observations) >= self.threshold).astype(np.int64)
+
+    def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """P(brake), (n,), for observations stacked along a new first axis."""
+        raise NotImplementedError
+
+
+class LearnedPolicy(ThresholdDriver):
+    """The paper's network as a driver.
+
+    It computes in double precision, and fused where it can, which gives the same bits in any batch. Dense, the order
+    of a sum depends on the size of the batch, and in single precision that could turn a decision near the threshold,
+    and with it an episode.
+    """
+
+    def __init__(self, network: StGraphNet, threshold: float = 0.5) -> None:
+        config = network.config
+        keys = ["tracks", "mask", "command"]
+        keys += ["ego"] * (config.velocity or config.ego_speed) + ["kind"] * config.class_input
+        super().__init__(keys, threshold)
+        self._logits = FusedNet(network) if supports(config) else DenseNet(network, _AT_ONCE)
+
+    def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """P(brake), (n,), for observations stacked along a new first axis."""
+        go, brake = self._logits({key: observations[key] for key in self.keys}).T
+        with np.errstate(over="ignore"):
+            probability: NDArray[np.float64] = 1 / (1 + np.exp(go - brake))
+        return probability
+
+
+class DenseNet:
+    """A network as it is now, for decisions only, in double precision; its last bits may depend on the batch.
+
+    `at_once`: scenes in one pass, which bounds the memory of a large batch.
+    """
+
+    def __init__(self, network: nn.Module, at_once: int) -> None:
+        self._network = copy.deepcopy(network).double().eval().requires_grad_(False)
+        self._at_once = at_once
+
+    def __call__(self, observation: Mapping[str, NDArray[Any]]) -> Floats:
+        """Logits (B, 2)."""
+        whole = {key: torch.tensor(value) for key, value in observation.items()}
+        starts = range(0, len(whole["command"]), self._at_once)
+        with torch.inference_mode():
+            parts = [self._network({k: v[at : at + self._at_once] for k, v in whole.items()}) for at in starts]
+        return torch.cat(parts).numpy() if parts else np.empty((0, 2))

@@ -1,0 +1,1 @@
+"""How networks learn: from demonstrations with DAgger, and by reward."""

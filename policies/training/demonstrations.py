@@ -1,0 +1,253 @@
+"""What an episode is made of: its seed, what was decided in it, and what the expert would have done.
+
+The traffic is a function of the seed, the settings of the scene and the decisions, so these are enough to meet the
+episode again, whatever is sensed or shared in it: one recording serves every network, a few bytes a frame.
+"""
+
+import io
+import json
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import replace_file
+from cad_env.numerics.jit import version
+from cad_env.rules.planner import Expert
+from cad_env.scoring.rollout import BatchPolicy
+from cad_env.simulation.scene_step import UNDER_WAY
+from cad_env.simulation.simulation import Setup, Simulation
+from cad_env.types import Bools, Ints, Observation
+
+SHARD_EPISODES = 64
+KEPT_EVERY = 1.0  # s, what has ended of a shard is written
+FORMAT = 2
+_ARRAYS = ("seed", "length", "outcome", "action", "label")
+
+Look = Callable[[Simulation, Observation], Any]
+
+
+class ShardError(ValueError):
+    """A shard that cannot be used; one line with the file and the reason."""
+
+
+class ReplayError(ValueError):
+    """An episode that does not come back as it was recorded."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """E whole episodes of F decisions in all, one after another."""
+
+    seed: Ints  # (E,) int64
+    length: Ints  # (E,) int64 decisions of each
+    outcome: Ints  # (E,) int8 how each ended, by the numbers of cad_env.simulation.scene_step
+    action: Ints  # (F,) int8 what was decided
+    label: Ints  # (F,) int8 what the expert would have decided
+
+    def __len__(self) -> int:
+        """E."""
+        return len(self.seed)
+
+    def in_order(self, seeds: Sequence[int]) -> "Recording":
+        """The episodes of these seeds, in this order; KeyError for one that is not there."""
+        place = {seed: episode for episode, seed in enumerate(self.seed.tolist())}
+        chosen = np.array([place[seed] for seed in seeds], np.int64)
+        first = np.cumsum(self.length) - self.length
+        frames = np.concatenate(
+            [np.arange(first[episode], first[episode] + self.length[episode]) for episode in chosen]
+        )
+        return Recording(
+            self.seed[chosen], self.length[chosen], self.outcome[chosen], self.action[frames], self.label[frames]
+        )
+
+
+def joined(parts: Sequence[Recording]) -> Recording:
+    """All episodes of several recordings."""
+    return Recording(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS})
+
+
+Driven = Callable[[Sequence[int]], Iterator[Recording]]  # an episode for each seed, as they end
+
+
+def record(
+    folder: Path,
+    envs: CADVectorEnv,
+    driver: BatchPolicy | None,
+    seeds: Sequence[int],
+    advance: Callable[[int], object],
+    mixing: float = 0.0,
+) -> list[Recording]:
+    """Drive an episode per seed, ask the expert in every frame, and keep the shards that are already there.
+
+    Without a driver the expert drives; beside one it takes a share of the decisions, `mixing`. `advance` is told how
+    many episodes were finished. Every shard is written whole or not at all, so two processes may record at once; what
+    has ended of the next one is kept every second. Raises ShardError for a shard that is damaged or of other episodes.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    made_with, parts = scenes_of(envs.ensemble.simulations[0].setup), []
+    for start in range(0, len(seeds), SHARD_EPISODES):
+        wanted = list(seeds[start : start + SHARD_EPISODES])
+        path = folder / f"shard_{start // SHARD_EPISODES:05d}.npz"
+        begun = path.with_suffix(".begun.npz")
+        if not path.exists():
+            write_shard(path, _completed(begun, made_with, wanted, partial(_drive, envs, driver, mixing)), made_with)
+        begun.unlink(missing_ok=True)
+        part = read_shard(path, made_with)
+        if part.seed.tolist() != wanted:
+            raise ShardError(f"{path}: holds other episodes than this run records; give another folder or delete it")
+        parts.append(part)
+        advance(len(wanted))
+    return parts
+
+
+def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[Any], list[int]]:
+    """Drive the episodes as they were driven, in whatever is sensed and shared in `envs`.
+
+    What was looked at in every frame and the expert's labels (F,), an episode after another.
+    Raises ReplayError for an episode that does not end as it did.
+    """
+    looks: list[list[Any]] = [[] for _ in recorded.seed]
+    first = np.cumsum(recorded.length) - recorded.length
+
+    def decide(which: Ints, episodes: Ints) -> Ints:
+        at = np.array([len(looks[episode]) for episode in episodes])
+        if (at >= recorded.length[episodes]).any():
+            raise _unlike(recorded, int(episodes[at >= recorded.length[episodes]][0]))
+        for place, episode in zip(which.tolist(), episodes.tolist(), strict=True):
+            looks[episode].append(look(envs.ensemble.simulations[place], envs.ensemble.observation(place)))
+        action: Ints = recorded.action[first[episodes] + at].astype(np.int64)
+        return action
+
+    outcome = np.zeros(len(recorded), np.int8)
+    for episode, ended in _play(envs, recorded.seed.tolist(), decide):
+        outcome[episode] = ended
+    length = np.array([len(of) for of in looks])
+    if unlike := np.flatnonzero((outcome != recorded.outcome) | (length != recorded.length)).tolist():
+        raise _unlike(recorded, unlike[0])
+    return [seen for of in looks for seen in of], recorded.label.tolist()
+
+
+def _unlike(recorded: Recording, episode: int) -> ReplayError:
+    return ReplayError(f"episode {recorded.seed[episode]} does not end as it was recorded: other settings or scenes")
+
+
+def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driven: Driven) -> Recording:
+    """The episodes of a shard, in their order; those that are in the file `begun` are not driven again."""
+    known: list[Recording] = []
+    if begun.exists():
+        try:
+            known = [read_shard(begun, made_with)]
+        except ShardError:
+            if begun.exists():
+                raise  # else another process has just finished this shard
+    there = {seed for part in known for seed in part.seed.tolist()}
+    written = time.monotonic()
+    for episode in driven([seed for seed in seeds if seed not in there]):
+        known.append(episode)
+        if time.monotonic() - written > KEPT_EVERY:
+            known = [joined(known)]
+            write_shard(begun, known[0], made_with)
+            written = time.monotonic()
+    return joined(known).in_order(seeds)
+
+
+def _drive(envs: CADVectorEnv, driver: BatchPolicy | None, mixing: float, seeds: Sequence[int]) -> Iterator[Recording]:
+    """One episode after another, as they end."""
+    expert, ensemble = Expert(), envs.ensemble
+    actions: list[list[int]] = [[] for _ in seeds]
+    labels: list[list[int]] = [[] for _ in seeds]
+    chance = [np.random.default_rng([seed, 1]) for seed in seeds]
+
+    def decide(which: Ints, episodes: Ints) -> Ints:
+        label = expert.act_batch(ensemble.truths(which))
+        action = label
+        if driver is not None:
+            seen = {name: part[which] for name, part in ensemble.observations.items()}
+            helped: Bools = np.array([chance[episode].random() < mixing for episode in episodes])
+            action = np.where(helped, label, driver.act_batch(seen))
+        for episode, chosen, right in zip(episodes.tolist(), action.tolist(), label.tolist(), strict=True):
+            actions[episode].append(chosen)
+            labels[episode].append(right)
+        return action
+
+    for episode, outcome in _play(envs, seeds, decide):
+        yield Recording(
+            np.array([seeds[episode]], np.int64), np.array([len(actions[episode])], np.int64),
+            np.array([outcome], np.int8), np.array(actions[episode], np.int8), np.array(labels[episode], np.int8),
+        )  # fmt: skip
+
+
+def _play(envs: CADVectorEnv, seeds: Sequence[int], decide: Callable[[Ints, Ints], Ints]) -> Iterator[tuple[int, int]]:
+    """Play an episode per seed, as many side by side as there are scenes: which one ended, and how.
+
+    `decide` is given the scenes that go on, (n,), and which episodes they play, (n,), and gives their actions (n,).
+    """
+    ensemble = envs.ensemble
+    waiting, free, going = iter(enumerate(seeds)), list(range(len(envs.ensemble))), dict[int, int]()
+    while True:
+        for place, (episode, seed) in zip(free, waiting, strict=False):
+            ensemble.start(place, seed)
+            going[place] = episode
+        if not going:
+            return
+        which = np.array(list(going))
+        ensemble.step(which, decide(which, np.array(list(going.values()))))
+        free = which[ensemble.outcomes[which] != UNDER_WAY].tolist()
+        for place in free:
+            yield going.pop(place), int(ensemble.outcomes[place])
+
+
+def scenes_of(setup: Setup) -> dict[str, Any]:
+    """All that an episode depends on beside its seed and its decisions: who senses and sends what is not among it."""
+    ranges = {name: list(value) if isinstance(value, tuple) else value for name, value in setup.ranges.items()}
+    return {
+        "scenario": setup.scenario, "ranges": ranges, "traffic": setup.traffic,
+        "penetration": setup.penetration, "version of cad_env": version(),
+    }  # fmt: skip
+
+
+def write_shard(path: Path, recorded: Recording, made_with: Mapping[str, Any]) -> None:
+    """Write a shard whole or not at all."""
+    meta = json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with})
+    archive = io.BytesIO()
+    np.savez_compressed(archive, meta=np.array(meta), **{name: getattr(recorded, name) for name in _ARRAYS})
+    replace_file(path, archive.getvalue())
+
+
+def read_shard(path: Path, made_with: Mapping[str, Any]) -> Recording:
+    """Read a shard back; ShardError for one that is missing, damaged, or made with something else."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            meta = json.loads(str(archive["meta"]))
+            recorded = Recording(**{name: archive[name] for name in _ARRAYS})
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise ShardError(f"{path}: not a readable shard ({str(error) or type(error).__name__})") from None
+    wanted = json.loads(json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with}))
+    found = meta if isinstance(meta, dict) else {}
+    for name, value in wanted.items():
+        if found.get(name) != value:
+            raise ShardError(f"{path}: has {name} {found.get(name)!r}, not {value!r}: delete it to record anew")
+    _check(path, recorded)
+    return recorded
+
+
+def _check(path: Path, recorded: Recording) -> None:
+    """The zip's own checksums find flipped bits; this finds a shard that was put together wrongly."""
+    count, frames = len(recorded), int(recorded.length.sum())
+    sound = (
+        recorded.seed.shape == recorded.length.shape == recorded.outcome.shape == (count,)
+        and recorded.action.shape == recorded.label.shape == (frames,)
+        and bool((recorded.length > 0).all())
+        and bool((recorded.outcome != UNDER_WAY).all())
+        and bool(np.isin(recorded.action, (0, 1)).all() and np.isin(recorded.label, (0, 1)).all())
+    )
+    if not sound:
+        raise ShardError(f"{path}: its arrays do not fit together")

@@ -1,0 +1,98 @@
+"""Frames that are dear to make, kept on the disk: the same for all training seeds of a row, and after a restart.
+
+Frames of points take minutes of casting rays to see again; those of graphs are replayed faster than they are worth
+keeping. A file that is missing, damaged or of something else is made anew, so the folder may be deleted at any time.
+"""
+
+import hashlib
+import io
+import json
+import sys
+from contextlib import suppress
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import nn
+
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import replace_file
+from cad_env.simulation.simulation import Setup
+from policies.spec import Family, Frames
+from policies.training.demonstrations import Recording, replay, scenes_of
+
+FORMAT = 1
+_CHECKSUM = hashlib.sha256().digest_size  # bytes, at the end of a file
+
+
+def frames_of(folder: Path, recorded: Recording, envs: CADVectorEnv, family: Family, network: nn.Module) -> Frames:
+    """The frames of recorded episodes as `family` sees them in `envs`: from `folder`, or replayed and put there.
+
+    Raises ReplayError as `replay` does, and nothing because of the folder.
+    """
+    if family.kept_as is None:
+        return family.frames(*replay(recorded, envs, family.look))
+    key, episodes = _key(envs.ensemble.simulations[0].setup, family, network), _digest_of(recorded)
+    path = folder / f"{family.name}_{hashlib.sha256(key.encode()).hexdigest()[:16]}" / f"{episodes}.npz"
+    frames = _read(path, key + episodes, family.kept_as)
+    if frames is None:
+        frames = family.frames(*replay(recorded, envs, family.look))
+        with suppress(OSError):  # a full or a read-only disk costs time the next time, and no more
+            _write(path, key + episodes, frames)
+    return frames
+
+
+def _key(setup: Setup, family: Family, network: nn.Module) -> str:
+    """All that frames depend on beside their episodes, as JSON."""
+    made_with = {
+        **vars(setup), **scenes_of(setup), "format": FORMAT, "family": family.name,
+        "looked with": family.looked_with(network.config), "code": _code_of(type(family).__module__),
+    }  # fmt: skip
+    return json.dumps(made_with, default=_settings, sort_keys=True)
+
+
+def _settings(of: object) -> dict[str, Any]:
+    """Those of a sensor, a radio or clouds; the codec is the family's, and what it reads is in `looked_with`."""
+    return {name: value for name, value in vars(of).items() if name != "codec"}
+
+
+@cache
+def _code_of(module: str) -> str:
+    """Digest of the code of a family and of all that stands beside it, and here: an edit may change what is kept."""
+    folders = {Path(__file__).parent, Path(str(sys.modules[module].__file__)).parent}
+    sources = sorted(path for folder in folders for path in folder.glob("*.py"))
+    return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in sources)).hexdigest()
+
+
+def _digest_of(recorded: Recording) -> str:
+    known = hashlib.sha256()
+    for name, value in vars(recorded).items():
+        known.update(f"{name} {value.dtype} {value.shape}".encode() + value.tobytes())
+    return known.hexdigest()[:24]
+
+
+def _read(path: Path, key: str, kind: type) -> Frames | None:
+    """None for a file that is not there, or not what was written under this key."""
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    archive = data[:-_CHECKSUM]
+    if hashlib.sha256(archive).digest() != data[-_CHECKSUM:]:  # zip's own checksums leave its headers out
+        return None
+    with np.load(io.BytesIO(archive), allow_pickle=False) as parts:
+        if str(parts["key"]) != key:
+            return None
+        found = {field.name: parts[field.name] for field in fields(kind)}
+    frames: Frames = kind(**{name: part if part.ndim else part.item() for name, part in found.items()})
+    return frames
+
+
+def _write(path: Path, key: str, frames: Frames) -> None:
+    """Write the frames whole or not at all."""
+    archive = io.BytesIO()
+    np.savez_compressed(archive, key=np.array(key), **vars(frames))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(path, archive.getvalue() + hashlib.sha256(archive.getvalue()).digest())

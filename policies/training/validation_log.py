@@ -1,0 +1,92 @@
+"""What the checkpoints of a course were worth: a table with a row for each scenario that one was driven in."""
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cad_env.files import replace_file
+from cad_env.scoring.rollout import Episode
+from policies.training.cloning import Worth
+
+Row = Mapping[str, Any]
+
+
+def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """What a driver did in validation episodes of one scenario."""
+    outcomes = [episode.outcome for episode in episodes]
+    calm = [episode for episode in episodes if not episode.hazard]
+    return {
+        "episodes": len(episodes), "collisions": outcomes.count("collision"), "timeouts": outcomes.count("timeout"),
+        "failures": len(outcomes) - outcomes.count("success"),
+        "mean_time": round(sum(episode.time for episode in episodes) / len(episodes), 3),
+        "calm": len(calm), "needless_brakes": sum(episode.brakes > 0 for episode in calm),
+    }  # fmt: skip
+
+
+def worth(rows: Iterable[Row]) -> Worth:
+    """The worth of a driver by its summaries, one a scenario, all of equally many episodes."""
+    found = list(rows)
+    failures, needless = (sum(row[name] for row in found) for name in ("failures", "needless_brakes"))
+    return Worth(failures, needless, sum(row["mean_time"] for row in found) / len(found))
+
+
+class Log:
+    """The file and its rows, each on the disk when it is known. A damaged row is dropped, and made again."""
+
+    COLUMNS = (
+        "round", "segment", "scenario", "loss", "threshold", "episodes", "collisions", "timeouts", "failures",
+        "mean_time", "calm", "needless_brakes",
+    )  # fmt: skip
+    OF_ALL = ("round", "segment", "loss", "threshold")  # the same in every scenario
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, or begin one."""
+        self.path = path
+        self.rows: list[dict[str, Any]] = list(self._kept())
+        self._write()
+
+    def of(self, turn: int, segment: int, threshold: float) -> list[dict[str, Any]]:
+        """The rows of a checkpoint, driven with a threshold."""
+        wanted = turn, segment, threshold
+        return [row for row in self.rows if (row["round"], row["segment"], row["threshold"]) == wanted]
+
+    def add(self, row: Row) -> None:
+        """Keep a row."""
+        self.rows.append(dict(row))
+        self._write()
+
+    def forget(self, turn: int, segment: int) -> None:
+        """Drop whatever there is of a checkpoint."""
+        self.rows = [row for row in self.rows if (row["round"], row["segment"]) != (turn, segment)]
+        self._write()
+
+    def drivers(self) -> list[tuple[int, int, float]]:
+        """(round, segment, threshold) of all that has rows, those that are worth most first."""
+        found = dict.fromkeys((row["round"], row["segment"], row["threshold"]) for row in self.rows)
+        return sorted(found, key=lambda which: worth(self.of(*which)))
+
+    def note(self, turn: int, segment: int, threshold: float) -> dict[str, Any]:
+        """The rows of a checkpoint, driven with a threshold, as a model keeps them."""
+        rows = self.of(turn, segment, threshold)
+        found = [{name: row[name] for name in self.COLUMNS if name not in self.OF_ALL} for row in rows]
+        return {"round": turn, "segment": segment, "threshold": threshold, "validation": found}
+
+    def _kept(self) -> Iterator[dict[str, Any]]:
+        if not self.path.exists():
+            return
+        with self.path.open(newline="") as file:
+            for row in csv.DictReader(file):
+                try:
+                    yield {name: row[name] if name == "scenario" else json.loads(row[name]) for name in self.COLUMNS}
+                except (KeyError, TypeError, ValueError):
+                    continue
+
+    def _write(self) -> None:
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, self.COLUMNS)
+        writer.writeheader()
+        writer.writerows(self.rows)
+        replace_file(self.path, text.getvalue().encode())

@@ -1,0 +1,52 @@
+"""GIFs of recorded episodes: which ones, and that they end as recorded."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from baselines.evaluation.gifs import first_of_each, write_gifs
+from baselines.evaluation.run import drive
+from baselines.evaluation.settings import Settings
+from cad_env.scoring.scorecard import Record
+
+SETTINGS = Settings(
+    scenario=("left_turn",), contender=("always-go", "planner-shared"), hazard="yes", episodes=2, first_seed=1_000_023
+)
+
+
+@pytest.fixture(scope="module")
+def records() -> list[Record]:
+    return [record for task in SETTINGS.tasks() for record in drive(SETTINGS, task)]
+
+
+def test_the_first_seeds_of_each_kind_are_chosen(records: list[Record]):
+    always = records[0]
+    some = [replace(always, seed=seed, outcome=outcome) for seed, outcome in
+            ((9, "success"), (3, "success"), (5, "success"), (7, "collision"))]  # fmt: skip
+    chosen = first_of_each([*some, replace(some[0], scenario="elsewhere", seed=11)], 2)
+    assert [(record.scenario, record.outcome, record.seed) for record in chosen] == [
+        ("elsewhere", "success", 11), ("left_turn", "collision", 7), ("left_turn", "success", 3),
+        ("left_turn", "success", 5),
+    ]  # fmt: skip
+    assert first_of_each(some, 0) == []
+
+
+def test_an_episode_with_a_hazard_tells_more_than_one_without(records: list[Record]):
+    calm, hazard = replace(records[0], seed=1, hazard=False), replace(records[0], seed=2, hazard=True)
+    assert first_of_each([calm, hazard], 1) == [hazard]
+
+
+def test_recorded_episodes_are_driven_again_and_written(records: list[Record], tmp_path: Path):
+    paths = write_gifs(SETTINGS, records[:1], tmp_path / "gifs", 1)
+    assert [path.name for path in paths] == ["left_turn_always-go_collision_1000023.gif"]
+    assert paths[0].read_bytes()[:3] == b"GIF"
+    assert paths[0].stat().st_size < 1_500_000
+
+
+def test_an_episode_that_does_not_end_as_recorded_is_refused(records: list[Record], tmp_path: Path):
+    wrong = replace(records[0], outcome="timeout")
+    with pytest.raises(ValueError, match="ends in collision, but was recorded as timeout") as refusal:
+        write_gifs(SETTINGS, [wrong], tmp_path, 1)
+    assert "\n" not in str(refusal.value)
+    assert not list(tmp_path.iterdir())

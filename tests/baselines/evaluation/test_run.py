@@ -1,0 +1,261 @@
+"""The scoring command's results: the same seeds for all, and a stopped run is completed to what it would have been."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import evaluate
+from baselines.evaluation import run as scoring
+from baselines.evaluation.run import score
+from baselines.evaluation.settings import Settings
+from cad_env.scenarios import SCENARIOS
+from cad_env.scoring.rollout import Episode
+from cad_env.scoring.scorecard import Record, parse_record
+
+SOME = ["--scenario", "left_turn", "--contender", "always-go", "planner-shared", "--episodes", "3"]
+LONG = ["--scenario", "left_turn", "--contender", "always-brake", "--episodes", "75"]
+
+Refused = Callable[..., str]
+
+
+def run(folder: Path, *arguments: str) -> int:
+    return evaluate.main([*arguments, "--no-report", "--out", str(folder)])
+
+
+def records(folder: Path) -> list[Record]:
+    return [parse_record(line) for line in (folder / "episodes.jsonl").read_text().splitlines()]
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of SOME."""
+    folder = tmp_path_factory.mktemp("done")
+    assert run(folder, *SOME) == 0
+    return folder
+
+
+@pytest.fixture
+def copy(done: Path, tmp_path: Path) -> Path:
+    """Another finished run of SOME, to be damaged."""
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    for name, data in files(done).items():
+        (folder / name).write_bytes(data)
+    return folder
+
+
+def test_every_contender_meets_the_same_seeds_in_order(done: Path) -> None:
+    assert [(record.contender, record.seed) for record in records(done)] == [
+        (name, 1_000_000 + k) for name in ("always-go", "planner-shared") for k in range(3)
+    ]
+    by_seed: dict[int, set[bool]] = {}
+    for record in records(done):
+        by_seed.setdefault(record.seed, set()).add(record.hazard)
+    assert all(len(kinds) == 1 for kinds in by_seed.values())
+
+
+def test_records_hold_the_bytes_that_were_sent(done: Path) -> None:
+    for record in records(done):
+        if record.contender == "always-go":
+            assert record.bytes_total == record.messages_sent == 0
+            assert record.bytes_per_message_mean is record.bytes_per_message_max is None
+        else:
+            mean, largest = record.bytes_per_message_mean, record.bytes_per_message_max
+            assert mean == pytest.approx(record.bytes_total / record.messages_sent, abs=1e-3)
+            assert mean is not None
+            assert largest is not None
+            assert mean <= largest <= 25_000
+
+
+def test_scores_and_table_come_with_intervals(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(copy, *SOME) == 0
+    rows = json.loads((copy / "scores.json").read_text())
+    assert {row["contender"] for row in rows} == {"always-go", "planner-shared"}
+    assert {"collision_rate", "collision_low", "collision_high", "success_low", "timeouts"} <= rows[0].keys()
+    assert "planner-shared" in capsys.readouterr().out
+
+
+def test_another_program_gets_the_same_rows(done: Path, tmp_path: Path) -> None:
+    rows = score(Settings(scenario=("left_turn",), contender=("always-go", "planner-shared"), episodes=3, out=tmp_path))
+    assert [vars(row) for row in rows] == json.loads((done / "scores.json").read_text())
+
+
+@pytest.mark.parametrize(("kind", "hazard"), [("yes", True), ("no", False)])
+def test_a_hazard_can_be_forced(kind: str, hazard: bool, tmp_path: Path) -> None:
+    assert (
+        run(tmp_path, "--scenario", "left_turn", "--contender", "always-go", "--episodes", "6", "--hazard", kind) == 0
+    )
+    assert {record.hazard for record in records(tmp_path)} == {hazard}
+    assert {row["hazard"] for row in json.loads((tmp_path / "scores.json").read_text())} == {"all", kind}
+
+
+def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
+    assert (
+        run(
+            tmp_path,
+            "--scenario",
+            "left_turn",
+            "--contender",
+            "planner-own",
+            "planner-shared",
+            "--episodes",
+            "4",
+            "--radio",
+            "none",
+        )
+        == 0
+    )
+    own, shared = records(tmp_path)[:4], records(tmp_path)[4:]
+    assert [vars(record) | {"contender": ""} for record in own] == [
+        vars(record) | {"contender": ""} for record in shared
+    ]
+
+
+def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
+    assert (
+        run(
+            tmp_path,
+            "--scenario",
+            "left_turn",
+            "--contender",
+            "planner-shared",
+            "--episodes",
+            "3",
+            "--loss",
+            "0.9",
+            "--depth",
+            "1",
+        )
+        == 0
+    )
+    before = [record for record in records(done) if record.contender == "planner-shared"]
+    for few, many in zip(before, records(tmp_path), strict=True):
+        assert few.messages_lost < many.messages_lost
+        assert many.bytes_per_message_mean < few.bytes_per_message_mean  # type: ignore[operator]
+
+
+def test_every_scenario_meets_every_contender_on_the_same_seeds_in_a_table_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(tmp_path, "--contender", "always-go", "planner-own", "--episodes", "2") == 0
+    assert [(record.scenario, record.contender, record.seed) for record in records(tmp_path)] == [
+        (scene, name, 1_000_000 + k) for scene in SCENARIOS for name in ("always-go", "planner-own") for k in range(2)
+    ]
+    tables = capsys.readouterr().out.split("\n\n")
+    assert [part.splitlines()[2].split()[0] for part in tables] == list(SCENARIOS)
+
+
+@pytest.mark.parametrize("cut", [1, 30, 400, 800])
+def test_a_torn_file_is_completed_to_what_it_would_have_been(copy: Path, done: Path, cut: int) -> None:
+    (copy / "scores.json").unlink()
+    path = copy / "episodes.jsonl"
+    os.truncate(path, path.stat().st_size - cut)
+    assert run(copy, *SOME) == 0
+    assert files(copy) == files(done)
+
+
+def test_finished_episodes_are_not_driven_again(copy: Path) -> None:
+    path = copy / "episodes.jsonl"
+    marked = json.loads(path.read_text().splitlines()[0]) | {"brakes": 12345}
+    path.write_text(json.dumps(marked) + "\n")
+    assert run(copy, *SOME) == 0
+    assert [record.brakes for record in records(copy)].count(12345) == 1
+
+
+@pytest.fixture(scope="module")
+def long_run(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The files of an uninterrupted run of LONG."""
+    folder = tmp_path_factory.mktemp("long")
+    assert run(folder, *LONG) == 0
+    return files(folder)
+
+
+def test_an_interruption_loses_no_episode_that_has_ended(
+    tmp_path: Path, done: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended = 0
+
+    def record(episode: Episode) -> Record:
+        nonlocal ended
+        ended += 1
+        if ended > 2:
+            raise KeyboardInterrupt
+        return as_record(episode)
+
+    as_record = scoring._record
+    monkeypatch.setattr(scoring, "_record", record)
+    assert run(tmp_path, *SOME) == 130
+    assert len(records(tmp_path)) == 2
+    monkeypatch.undo()
+    assert run(tmp_path, *SOME) == 0
+    assert files(tmp_path) == files(done)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+@pytest.mark.parametrize(("how", "code"), [("SIGINT", 130), ("SIGKILL", -9)])
+def test_a_stopped_run_leaves_no_worker_and_goes_on(
+    how: str, code: int, long_run: dict[str, bytes], tmp_path: Path
+) -> None:
+    command = [sys.executable, evaluate.__file__, *LONG, "--jobs", "2", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    path = tmp_path / "episodes.jsonl"
+    while process.poll() is None and not (path.exists() and path.stat().st_size):
+        time.sleep(0.01)
+    # Ctrl-C reaches every process of a terminal, a kill only one.
+    (os.killpg if how == "SIGINT" else os.kill)(process.pid, getattr(signal, how))
+    said = process.communicate(timeout=60)[1]  # ends only when the workers, who share standard error, have ended
+    assert process.returncode == code
+    if how == "SIGINT":
+        assert said.count("\n") == 1
+        assert "the same command goes on from there" in said
+    done_before = records(tmp_path)
+    assert 1 <= len(done_before) < 75
+    assert run(tmp_path, *LONG) == 0
+    assert files(tmp_path) == long_run
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (["--episodes", "4"], "episodes"), (["--first-seed", "5"], "first_seed"), (["--radio", "cv2x"], "radio"),
+        (["--loss", "0.2"], "radio"), (["--hazard", "yes"], "hazard"), (["--depth", "2"], "depth"),
+        (["--sensor-noise", "0.3"], "sensor_noise"), (["--traffic", "none"], "traffic"),
+        (["--penetration", "0.5"], "penetration"), (["--contender", "expert"], "contender"),
+    ],
+)  # fmt: skip
+def test_other_settings_in_the_same_folder_are_refused_by_name(
+    change: list[str], name: str, refused: Refused, copy: Path, done: Path
+) -> None:
+    assert f"another {name} (" in refused(copy, *SOME, *change)
+    assert files(copy) == files(done)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("settings.json", "{", "settings.json is damaged"),
+        ("settings.json", "[]", "another scenario"),
+        ("episodes.jsonl", '{"seed": 1}\n', "episodes.jsonl line 1: an episode's record must have the keys"),
+        ("episodes.jsonl", "\x00\x00\n", "episodes.jsonl line 1: not JSON"),
+    ],
+)
+def test_damaged_results_are_refused_and_kept(name: str, text: str, reason: str, refused: Refused, copy: Path) -> None:
+    (copy / name).write_text(text)
+    assert reason in refused(copy, *SOME)
+    assert (copy / name).read_text() == text
+
+
+def test_episodes_of_unknown_settings_are_refused(refused: Refused, copy: Path) -> None:
+    (copy / "settings.json").unlink()
+    assert "has episodes but no settings.json" in refused(copy, *SOME)

@@ -1,0 +1,262 @@
+"""One command makes all tables; here with as little of everything as there can be."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import reproduce
+from baselines.evaluation.grid import Task as Episodes
+from baselines.evaluation.run import drive, identity
+from baselines.evaluation.settings import Settings
+from baselines.evaluation.store import difference, read_records
+from baselines.learned import ROWS
+from baselines.paper.gathering import commands, gather
+from baselines.paper.presets import PRESETS, Preset
+from baselines.paper.report import write
+from baselines.paper.tasks import Plan, Task, in_table, measuring, perform, scoring, training, units, work_of
+from baselines.workers import heard
+from cad_env.scoring.scorecard import Record
+from evaluate import parsed
+
+torch.set_num_threads(1)
+
+TINY = Preset(
+    seeds=(0, 1), episodes=6, corrections=0, corrected_episodes=1, steps=3, validation=1, open_loop=2, scored=2,
+    swept=1, sweep_points="ends", ppo_steps=256,
+)  # fmt: skip
+SCENES = ("left_turn",)
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Plan:
+    return Plan(tmp_path / "run", TINY, SCENES, ("always-go", "command-only", "stgraph"))
+
+
+def test_every_row_of_the_tables_is_asked_for() -> None:
+    assert set(ROWS) <= set(in_table())
+    found = reproduce.plan_of(reproduce.ReproduceSettings(preset="full"))
+    assert found.rows == in_table()
+    assert {name for name, _ in units(found)} == set(found.rows)
+
+
+def test_what_is_trained_comes_once_a_seed_and_what_is_not_once(plan: Plan) -> None:
+    assert sorted(units(plan)) == [
+        ("always-go", 0), ("command-only", 0), ("command-only", 1), ("stgraph", 0), ("stgraph", 1),
+    ]  # fmt: skip
+    assert not list(training(plan, ("always-go", 0)))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_shards_share_out_everything_once(plan: Plan, count: int) -> None:
+    parts = [units(plan, f"{number}/{count}") for number in range(1, count + 1)]
+    assert sorted(unit for part in parts for unit in part) == sorted(units(plan))
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_shards_cost_about_the_same(count: int) -> None:
+    plan = reproduce.plan_of(reproduce.ReproduceSettings(preset="full"))
+    loads = [
+        sum(
+            work_of(plan, task)
+            for unit in units(plan, f"{number}/{count}")
+            for task in (*training(plan, unit), *measuring(plan, unit))
+        )
+        for number in range(1, count + 1)
+    ]
+    assert max(loads) < 1.05 * sum(loads) / count
+
+
+def test_sweeps_are_of_the_first_seed_and_of_the_rows_that_are_compared(plan: Plan) -> None:
+    stages = {unit: {task.stage for task in measuring(plan, unit)} for unit in units(plan)}
+    assert stages["stgraph", 0] == {"closed", "open", "sweep"}
+    assert stages["stgraph", 1] == stages["command-only", 0] == {"closed", "open"}
+    everything = replace(plan, preset=replace(TINY, sweep_points="every"))
+    assert len(list(measuring(everything, ("stgraph", 0)))) > len(list(measuring(plan, ("stgraph", 0))))
+
+
+def test_what_is_done_is_not_done_again_and_stands_side_by_side(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = replace(plan, rows=("always-go", "command-only"), preset=replace(TINY, seeds=(0,)))
+    tasks = [task for unit in units(plan) for stage in (training, measuring) for task in stage(plan, unit)]
+    told: list[float] = []
+    for task in tasks:
+        perform(plan, task, told.append)
+    assert gather(plan) == 0
+    records = read_records(plan.out / "closed" / "dsrc" / "0")
+    assert [record.contender for record in records] == ["always-go"] * 2 + ["command-only"] * 2
+    before = {path: path.stat().st_mtime_ns for path in plan.out.glob("models/**/*.*")}
+    before |= {path: path.stat().st_mtime_ns for path in plan.out.glob("open/*/*.json")}
+    assert len(before) > 5
+    monkeypatch.setattr("baselines.evaluation.run.drive", None)  # nothing drives any more
+    for task in tasks:
+        perform(plan, task, told.append)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert gather(plan) == 0
+    assert read_records(plan.out / "closed" / "dsrc" / "0") == records
+    text = write(plan.out).read_text()
+    assert "command-only" in text
+
+
+def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = replace(plan, rows=("stgraph",), preset=replace(TINY, seeds=(0,)))
+    perform(plan, Task("train", "stgraph", 0), lambda work: None)
+    for what in ("dsrc", "sweeps/delay/0.5"):
+        perform(plan, Task("closed" if what == "dsrc" else "sweep", "stgraph", 0, what), lambda work: None)
+    driven: list[str] = []
+
+    def counted(settings: Settings, task: Episodes) -> Iterator[Record]:
+        driven.append(str(settings.out))
+        return drive(settings, task)
+
+    monkeypatch.setattr("baselines.evaluation.run.drive", counted)
+    for what in ("sweeps/delay/0.0", "sweeps/gnss/0.0", "sweeps/budget/25000", "sweeps/depth/15"):
+        perform(plan, Task("sweep", "stgraph", 0, what), lambda work: None)
+    assert not driven
+    records = [read_records(scoring(plan, Task(*task)).out) for task in (
+        ("closed", "stgraph", 0, "dsrc"), ("sweep", "stgraph", 0, "sweeps/delay/0.0"),
+    )]  # fmt: skip
+    assert records[1] == records[0][: TINY.swept]
+    perform(plan, Task("sweep", "stgraph", 0, "sweeps/gnss/1.0"), lambda work: None)
+    assert len(driven) == 1
+
+
+def test_the_noted_commands_are_of_the_same_episodes(plan: Plan) -> None:
+    rows = ("always-go", "command-only", "stgraph")
+    plan = replace(plan, rows=rows, preset=replace(TINY, seeds=(0,), swept=2))
+    for row in rows:
+        for task in training(plan, (row, 0)):
+            perform(plan, task, lambda work: None)
+    made = ["expert", "stgraph", "command-only", "compressed"]
+    radios = {"compressed": "cv2x"}
+    parts = [plan.settings(row, 0, plan.out / row, radio=radios.get(row, "dsrc"), episodes=2, loss=0.2) for row in made]
+    lines = commands(parts).splitlines()
+    assert len(lines) == 2
+    found = [parsed(Settings, line.split()[2:]) for line in lines]
+    assert [run.contender for run in found] == [("expert", "stgraph", "command-only"), ("compressed",)]
+    assert [run.radio for run in found] == ["dsrc", "cv2x"]
+    for part in parts[:3]:
+        assert not difference(identity(replace(found[0], contender=part.contender)), identity(part))
+    assert found[1] == replace(parts[3], out=Settings.out, report=True)
+
+
+def test_numbers_of_another_model_are_not_taken_for_those_of_this_one(plan: Plan) -> None:
+    plan = replace(plan, rows=("command-only",), preset=replace(TINY, seeds=(0,), swept=0))
+    tasks = [task for stage in (training, measuring) for task in stage(plan, ("command-only", 0))]
+    for task in tasks:
+        perform(plan, task, lambda work: None)
+    assert gather(plan) == 0
+    model = plan.models(0) / "command-only" / "config.json"
+    model.write_text(json.dumps(json.loads(model.read_text()) | {"threshold": 0.0}))
+    for task in tasks[1:]:
+        with pytest.raises(ValueError, match="another model"):
+            perform(plan, task, lambda work: None)
+    with pytest.raises(ValueError, match="another model"):
+        gather(plan)
+    for path in plan.out.glob("open/*/*.json"):
+        path.unlink()
+    assert gather(plan) == 2
+
+
+def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:
+    for task in measuring(plan, ("always-go", 0)):
+        perform(plan, task, lambda work: None)
+    assert gather(plan) > 0
+    assert {record.contender for record in read_records(plan.out / "closed/dsrc/0")} == {"always-go"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'"),
+        (["--row", "gta"], "unknown row 'gta'"),
+        (["--shard", "3/2"], "shard must be i/n"),
+        (["--shard", "1/2", "--merge"], "leave out --shard"),
+        (["--jobs", "0"], "jobs must be"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert reproduce.main([*arguments, "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert message in error
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_of_another_preset_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = Plan(tmp_path, PRESETS["full"], SCENES, ("always-go",))
+    reproduce.claim(plan)
+    assert reproduce.main(["--preset", "quick", "--merge", "--out", str(tmp_path)]) == 2
+    assert "holds a run with another seeds" in capsys.readouterr().err
+
+
+def test_a_recording_that_fails_is_told_in_one_line_and_kept_apart_for_each_shard(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "recording").write_text("in the way")
+    command = ["--row", "always-go", "--out", str(run), "--jobs", "1"]
+    assert reproduce.main([*command, "--shard", "2/2"]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len([line for line in lines if line.startswith("failed: record ")]) == 3
+    assert not [line for line in lines if "Traceback" in line]
+    assert "Traceback" in (run / "failures_2_of_2.txt").read_text()
+    assert reproduce.main([*command, "--shard", "1/2"]) == 1
+    assert {path.name for path in run.glob("*.txt")} == {"failures_1_of_2.txt", "failures_2_of_2.txt"}
+
+
+def test_what_failed_is_told_and_kept_though_the_next_stage_is_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
+    run = tmp_path / "run"
+    course = run / "models/seed_0/command-only/course.json"
+    course.parent.mkdir(parents=True)
+    course.write_text("not JSON")
+
+    def interrupted(told: Any) -> list[Any]:
+        if (run / "failures.txt").exists():
+            raise KeyboardInterrupt
+        return heard(told)
+
+    monkeypatch.setattr("baselines.workers.heard", interrupted)
+    assert reproduce.main(["--row", "command-only", "always-go", "--out", str(run)]) == 130
+    assert "failed: train command-only seed 0: ValueError" in capsys.readouterr().err
+    assert "Traceback" in (run / "failures.txt").read_text()
+
+
+def test_a_reason_is_one_line_however_many_its_error_has() -> None:
+    def load() -> None:
+        raise RuntimeError("Error(s) in loading:\n\tMissing key\n\n")
+
+    story = reproduce._attempt(load)
+    assert reproduce._reason(story) == "RuntimeError: Error(s) in loading: Missing key"
+    assert "Traceback" in story
+
+
+@pytest.mark.slow
+def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
+    broken = tmp_path / "run/models/seed_0/command-only"
+    broken.mkdir(parents=True)
+    (broken / "course.json").write_text("not JSON")
+    arguments = ["--row", "command-only", "gat", "always-go", "--out", str(tmp_path / "run")]
+    assert reproduce.main(arguments) == 1
+    error = capsys.readouterr().err
+    assert "failed: train command-only seed 0: ValueError" in error
+    records = read_records(tmp_path / "run/closed/dsrc/0")
+    assert {record.contender for record in records} == {"always-go", "gat"}
+    assert "Traceback" in (tmp_path / "run/failures.txt").read_text()
+    (broken / "course.json").unlink()
+    assert reproduce.main(arguments) == 0
+    found = json.loads((tmp_path / "run/results.json").read_text())
+    assert "command-only" in json.dumps(found["closed"])

@@ -1,0 +1,133 @@
+"""The training command, as its users run it."""
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import train
+from baselines.evaluation.run import opened
+from baselines.evaluation.training_seeds import runs_of
+from baselines.methods import shipped_models
+from cad_env.scenarios import SCENARIOS
+
+ROOT = Path(__file__).parents[1]
+TINY = ["--episodes", "6", "--corrections", "0", "--steps", "9", "--validation", "2", "--score", "2"]
+
+
+def claimed(settings: train.TrainSettings) -> None:
+    for lesson, course in settings.lessons():
+        train.claim(lesson.folder, course)
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, str(ROOT / "train.py"), *arguments]
+
+
+def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    first = subprocess.Popen(command(*TINY, "--out", str(out)), stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    deadline = time.monotonic() + 300
+    while not list(out.glob("recording/*/*.npz")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    first.send_signal(signal.SIGINT)
+    _, errors = first.communicate(timeout=120)
+    assert first.returncode == 130
+    assert "the same command goes on" in errors
+    assert "Traceback" not in errors
+    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("recording/*/*.npz")}
+    assert kept
+    second = subprocess.run(
+        command(*TINY, "--out", str(out)), capture_output=True, text=True, cwd=tmp_path, timeout=900, check=False
+    )
+    assert second.returncode == 0, second.stderr
+    assert all(shard.stat().st_mtime_ns == then for shard, then in kept.items())
+    assert "stgraph-own" in second.stdout
+    for name in ("shared", "own"):
+        assert {"model.safetensors", "config.json", "metrics.csv"} <= {p.name for p in (out / name).iterdir()}
+    rows = json.loads(next(out.glob("scores_*/scores.json")).read_text())
+    assert {row["contender"] for row in rows} == {*train.RULES, "stgraph", "stgraph-own"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scenario", "left_trun"], "left_trun.*left_turn"),
+        (["--scenario", "left_turn", "left_turn"], "each once.*left_turn left_turn"),
+        (["--radio", "dsrk"], "dsrk.*dsrc"),
+        (["--radio", "none"], "radio must be one that carries something"),
+        (["--episodes", "0"], "episodes must be a number from 1"),
+        (["--steps", "many"], "steps"),
+        (["--setps", "9"], "setps"),
+        (["--row", "stgraf"], "stgraf.*stgraph-own"),
+        (["--seed", "1", "1"], "seed must name at least one, each once"),
+        (["--mixing", "2"], "mixing must be a number from 0 to 1"),
+    ],
+)
+def test_bad_input_is_one_clear_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train.main([*arguments, "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(message, error), error
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = train.TrainSettings(out=tmp_path / "run", steps=9)
+    claimed(settings)
+    claimed(settings)
+    assert train.main(["--out", str(tmp_path / "run"), "--steps", "12"]) == 2
+    assert "steps=9, now 12" in capsys.readouterr().err
+
+
+def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    claimed(train.TrainSettings(out=tmp_path / "run", scenario=("left_turn",)))
+    others = tuple(name for name in SCENARIOS if name != "left_turn")
+    assert train.main(["--out", str(tmp_path / "run"), "--scenario", *others]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "scenarios=['left_turn'], now" in error
+
+
+def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learned_over(tmp_path: Path) -> None:
+    usual, other = (
+        train.TrainSettings(out=tmp_path, **rows).scoring()
+        for rows in ({}, {"row": ("compressed", "gat", "raw-points")})
+    )
+    assert [run.radio for run in usual] == ["dsrc"]
+    learned = {name: run.radio for run in other for name in run.contender if name not in train.RULES}
+    assert learned == {"compressed": "cv2x", "gat": "dsrc", "raw-points": "ideal"}
+    assert len({run.out for run in [*usual, *other]}) == 4
+
+
+@pytest.mark.parametrize("seeds", [(0,), (0, 1)])
+def test_a_row_that_is_added_can_be_scored_beside_an_earlier_run(tmp_path: Path, seeds: tuple[int, ...]) -> None:
+    for rows in (("stgraph",), train.ROWS, ("stgraph-own",)):
+        settings = train.TrainSettings(out=tmp_path / "run", row=rows, seed=seeds, scenario=("left_turn",))
+        for seed in seeds:
+            shutil.copytree(shipped_models("left_turn"), settings.models(seed), dirs_exist_ok=True)
+        for run in settings.scoring():
+            for part in runs_of(run).values() if len(seeds) > 1 else [run]:
+                opened(part)
+
+
+def test_one_scenario_several_or_all_have_folders_of_their_own() -> None:
+    assert train.TrainSettings().folder() == Path("runs/all")
+    assert train.TrainSettings(scenario=("left_turn",)).folder() == Path("runs/left_turn")
+    assert train.TrainSettings().scenarios() == tuple(SCENARIOS)
+    backwards = tuple(reversed(SCENARIOS))
+    assert train.TrainSettings(scenario=backwards).scenarios() == tuple(SCENARIOS)
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert train.main(["--out", str(tmp_path / "file" / "run")]) == 2
+    assert capsys.readouterr().err.startswith("error: ")

@@ -1,0 +1,215 @@
+"""The multi-agent environment: everybody sees and decides for itself, and leaves when it is done."""
+
+import numpy as np
+import pytest
+from scenes import Twitchy
+
+from cad_env.envs.parallel import CADParallelEnv, parallel_env
+from cad_env.envs.single import CADEnv
+from cad_env.rules.planner import Expert
+from cad_env.scenarios import SCENARIOS
+from cad_env.scenarios.scenario import Scenario
+from cad_env.types import BRAKE, GO
+from cad_env.world.state import crashed
+from cad_env.world.step import advance
+
+
+def drive(env: CADParallelEnv, seed: int, count: int = 300, action=None) -> list[tuple]:
+    """Every step's result, by Twitchy unless an action is given."""
+    policy = Twitchy()
+    observations, infos = env.reset(seed=seed)
+    history = [(observations, {}, {}, {}, infos)]
+    while env.agents and len(history) <= count:
+        actions = {agent: policy.act(observations[agent]) if action is None else action for agent in env.agents}
+        history.append(env.step(actions))
+        observations = history[-1][0]
+    return history
+
+
+def test_agents_are_the_connected_vehicles_and_the_ego_is_the_first():
+    env = parallel_env(ranges={"collaborators": (2, 4)})
+    for seed in range(10):
+        observations, infos = env.reset(seed=seed)
+        assert env.agents == [f"cav_{k}" for k in range(len(env.simulation.scene.connected))]
+        assert set(env.agents) <= set(env.possible_agents)
+        assert list(observations) == list(infos) == env.agents
+        assert env.simulation.agents[0] == 0
+
+
+def test_unless_asked_otherwise_there_are_four_agents_in_every_scene():
+    env = parallel_env()
+    for seed in range(10):
+        env.reset(seed=seed)
+        assert env.agents == env.possible_agents == ["cav_0", "cav_1", "cav_2", "cav_3"]
+    assert len(parallel_env(ranges={"collaborators": (2, 4)}).possible_agents) == 5
+
+
+def same(a, b) -> bool:
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f")) if isinstance(a, np.ndarray) else a == b
+
+
+def test_the_ego_sees_what_it_sees_in_the_single_agent_environment():
+    # As long as the others go, both are the same episode.
+    single, many = CADEnv(ranges={"collaborators": (3, 3)}), parallel_env()
+    observation, _ = single.reset(seed=6)
+    observations, _ = many.reset(seed=6)
+    policy, ended = Twitchy(), False
+    while not ended:
+        assert same(observation, observations["cav_0"])
+        action = policy.act(observation)
+        observation, reward, terminated, truncated, info = single.step(action)
+        actions = dict.fromkeys(many.agents, GO) | {"cav_0": action}
+        observations, rewards, terminations, truncations, infos = many.step(actions)
+        ended = terminated or truncated
+        assert rewards["cav_0"] == pytest.approx(reward)
+        assert (terminations["cav_0"], truncations["cav_0"]) == (terminated, truncated)
+        assert many.outcomes.get("cav_0") == info["outcome"]
+        assert infos["cav_0"]["bytes_received"] == info["bytes_received"]
+
+
+def test_everybody_decides_for_itself():
+    env = parallel_env()
+    env.reset(seed=0)
+    moving = [k for k in range(len(env.agents)) if env.simulation.world.speed[env.simulation.agents[k]] > 3.0]
+    assert 0 in moving
+    for _ in range(20):
+        env.step({agent: BRAKE if agent == "cav_0" else GO for agent in env.agents})
+    assert env.simulation.world.speed[0] == 0.0
+    seen = [env.simulation.observation(k) for k in range(len(env.simulation.agents))]
+    assert not same(seen[0], seen[1])
+
+
+def test_a_finished_agent_leaves_and_does_not_come_back():
+    env = parallel_env()
+    for seed in range(6):
+        history = drive(env, seed, action=GO)
+        alive = set(history[0][0])
+        for observations, rewards, terminations, truncations, infos in history[1:]:
+            assert set(observations) == set(rewards) == set(terminations) == set(truncations) == set(infos) == alive
+            assert not any(terminations[agent] and truncations[agent] for agent in alive)
+            alive = {agent for agent in alive if not (terminations[agent] or truncations[agent])}
+        assert not alive
+        assert env.agents == []
+        assert set(env.outcomes) == set(history[0][0])
+
+
+def test_an_info_says_how_it_ended_in_numbers():
+    env = parallel_env()
+    seen = set()
+    for seed in range(20):
+        *_, (_, rewards, terminations, truncations, infos) = drive(env, seed, action=GO)
+        for agent, info in infos.items():
+            outcome = env.outcomes[agent]
+            assert info["is_success"] is (outcome == "success")
+            assert info["crashed"] is (outcome == "collision")
+            assert (terminations[agent], truncations[agent]) == (outcome != "timeout", outcome == "timeout")
+            assert all(isinstance(value, bool | int | float) for value in info.values())
+            assert rewards[agent] == {"waited": 0.0}.get(outcome, rewards[agent])
+            seen.add(outcome)
+    assert {"collision", "success", "waited"} <= seen
+
+
+def waiting(env: CADParallelEnv) -> list[str]:
+    """The agents of a scene that has just begun that can only wait."""
+    _, infos = env.reset(seed=env.simulation.seed, options={"hazard": env.simulation.scene.hazard})
+    return [agent for agent, info in infos.items() if info["waits"]]
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
+def test_who_waits_is_who_stands_after_half_a_minute_and_all_others_arrive(scenario: Scenario):
+    env, told = parallel_env(scenario.gym_id, traffic="dense", penetration=0.5), set()
+    for seed in range(15):
+        _, infos = env.reset(seed=seed, options={"hazard": False})
+        simulation, goal = env.simulation, env._goal
+        world, rows = simulation.world, simulation.agents
+        for _ in range(300):
+            advance(world, simulation.map.routes, rows, np.zeros(len(rows), np.int64), np.zeros(len(world.speed)))
+        if crashed(world).any():
+            continue  # whoever is behind an accident does not arrive either
+        for k, info in enumerate(infos.values()):
+            assert info["waits"] == np.isinf(goal[k]) == (world.speed[rows[k]] < 0.1)
+            assert info["waits"] or world.progress[rows[k]] >= goal[k]
+            told.add(info["waits"])
+    assert told == {True, False}
+
+
+def test_an_agent_at_a_red_light_waits_for_the_others_to_be_done_and_is_paid_nothing():
+    env = parallel_env()
+    env.reset(seed=1, options={"hazard": False})
+    standing = waiting(env)
+    assert standing == ["cav_1", "cav_2", "cav_3"]
+    while env.agents:
+        before = env.agents
+        _, rewards, _, truncations, infos = env.step(dict.fromkeys(env.agents, GO))
+        assert all(rewards[agent] == 0.0 for agent in standing)
+        assert all(infos[agent]["covered"] == 0.0 and not infos[agent]["is_success"] for agent in standing)
+    assert before == ["cav_0", *standing]  # they leave in the step in which the last that drives does
+    assert not any(truncations.values())
+    assert env.outcomes == {"cav_0": "success"} | dict.fromkeys(standing, "waited")
+
+
+def test_who_waits_leaves_even_if_the_last_that_drives_runs_out_of_time():
+    env = parallel_env(max_cycles=40)
+    history = drive(env, 1, action=BRAKE)
+    *_, terminations, truncations, _ = history[-1]
+    assert len(history) == 41
+    assert env.outcomes["cav_0"] == "timeout"
+    assert truncations["cav_0"] is True
+    assert env.outcomes["cav_1"] == "waited"
+    assert terminations["cav_1"] is True
+
+
+def test_a_waiting_agent_that_is_hit_has_crashed():
+    env = parallel_env()
+    env.reset(seed=1)
+    world, row = env.simulation.world, env.simulation.agents[2]
+    world.position[row] = world.position[0]  # somebody is put on top of it
+    _, rewards, terminations, _, infos = env.step(dict.fromkeys(env.agents, GO))
+    assert rewards["cav_2"] == -1.0
+    assert terminations["cav_2"] is True
+    assert infos["cav_2"]["crashed"] is True
+    assert env.outcomes["cav_2"] == "collision"
+
+
+def test_time_is_up_after_max_cycles():
+    env = parallel_env(max_cycles=7)
+    history = drive(env, 0, action=BRAKE)
+    assert len(history) == 8
+    assert history[-1][3]["cav_0"] is True
+
+
+def test_the_share_of_the_way_adds_up_to_one_for_whoever_arrives():
+    env, arrived = parallel_env(), 0
+    for seed in range(12):
+        history = drive(env, seed, action=GO)
+        for agent, outcome in env.outcomes.items():
+            earned = sum(step[1].get(agent, 0.0) for step in history[1:])
+            if outcome == "success":
+                arrived += agent != "cav_0"
+                assert earned == pytest.approx(2.0, abs=0.03)  # its way, and what it overshoots in its last step, and 1
+    assert arrived > 0
+
+
+def test_who_has_left_drives_on():
+    env = parallel_env()
+    env.reset(seed=10)
+    while len(env.agents) == 4:
+        env.step(dict.fromkeys(env.agents, GO))
+    gone = next(k for k, agent in enumerate(env.possible_agents) if agent not in env.agents)
+    row, outcome = env.simulation.agents[gone], env.outcomes[f"cav_{gone}"]
+    progress = env.simulation.world.progress[row]
+    env.step(dict.fromkeys(env.possible_agents, BRAKE))  # what it is asked to do now does not matter
+    assert env.simulation.world.progress[row] > progress
+    assert env.outcomes[f"cav_{gone}"] == outcome
+
+
+def test_every_agent_can_ask_the_expert():
+    env = parallel_env()
+    for seed in range(1_000_000, 1_000_003):
+        env.reset(seed=seed, options={"hazard": True})
+        while env.agents:
+            env.step({agent: Expert().act(env.truth(agent)) for agent in env.agents})
+        assert env.outcomes["cav_0"] == "success"
+        assert "collision" not in env.outcomes.values()

@@ -1,0 +1,269 @@
+"""Training: batches are balanced, the loss falls, and a course that was stopped goes on as if it had not been."""
+
+import csv
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.scenarios import SCENARIOS
+from cad_env.scoring.rollout import Episode
+from cad_env.types import BRAKE, Policy
+from policies.model_folder import ModelError, load_model
+from policies.spec import Frames
+from policies.stgraph.network import StGraphNet
+from policies.stgraph.spec import FAMILY
+from policies.training.cloning import Recipe, Worth, balanced, drive, fit, load_state, save_state
+from policies.training.dagger import Course, train
+from policies.training.demonstrations import joined, record, replay
+from policies.training.validation_log import Log
+
+NAMES = tuple(SCENARIOS)[:2]
+TINY = Course(
+    scenarios=NAMES, episodes=6, corrections=1, corrected_episodes=2, steps=8, segments=2, validation=1,
+    final_validation=1, recipe=Recipe(batch=16),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Frames]:
+    folder = tmp_path_factory.mktemp("frames")
+    found = {}
+    for name in NAMES:
+        envs = CADVectorEnv(6, scenario=name)
+        recorded = joined(record(folder / name, envs, None, range(6), lambda n: None))
+        found[name] = FAMILY.frames(*replay(recorded, envs, FAMILY.look))
+    return found
+
+
+def test_every_scenario_has_its_share_of_a_batch_and_a_third_of_it_brakes() -> None:
+    labels = {"long": np.array([BRAKE] * 5 + [0] * 95), "short": np.array([0] * 8 + [BRAKE])}
+    batches = balanced(labels, Recipe(60, brake_share=0.3), np.random.default_rng(0))
+    for _ in range(20):
+        for name, chosen in next(batches).items():
+            assert len(chosen) == 30
+            assert (labels[name][chosen] == BRAKE).sum() == 9
+
+
+def test_a_scenario_with_frames_of_one_kind_cannot_be_balanced() -> None:
+    labels = {"mixed": np.arange(10) % 2, "calm": np.zeros(10)}
+    with pytest.raises(ValueError, match="calm must hold frames of both kinds"):
+        next(balanced(labels, Recipe(4, brake_share=0.5), np.random.default_rng(0)))
+
+
+def test_the_loss_falls(frames: dict[str, Frames]) -> None:
+    network = StGraphNet(seed=0)
+    optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
+    rng, recipe = np.random.default_rng(0), Recipe(batch=32, learning_rate=1e-2)
+    first = fit(FAMILY, network, optimiser, frames, recipe, range(5), 60, rng, lambda n: None)
+    fit(FAMILY, network, optimiser, frames, recipe, range(5, 55), 60, rng, lambda n: None)
+    last = fit(FAMILY, network, optimiser, frames, recipe, range(55, 60), 60, rng, lambda n: None)
+    assert last < 0.9 * first
+
+
+def test_fewer_failures_are_worth_more_and_then_less_time() -> None:
+    assert Worth(1, 0, 20.0) < Worth(2, 0, 10.0)
+    assert Worth(1, 0, 10.0) < Worth(1, 0, 20.0)
+
+
+def test_ten_needless_brakes_are_worse_than_a_failure() -> None:
+    assert Worth(1, 0, 10.0) < Worth(0, 11, 10.0)
+    assert Worth(0, 9, 10.0) < Worth(1, 0, 10.0)
+
+
+def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames], tmp_path: Path) -> None:
+    def weights(stop: bool) -> torch.Tensor:
+        network = StGraphNet(seed=0)
+        optimiser = torch.optim.Adam(network.parameters())
+        for part in range(2):
+            if stop and part:
+                save_state(tmp_path / "state.safetensors", network, optimiser, 0.25)
+                network = StGraphNet(seed=5)
+                optimiser = torch.optim.Adam(network.parameters())
+                assert load_state(tmp_path / "state.safetensors", network, optimiser) == 0.25
+            rng = np.random.default_rng(part)
+            fit(
+                FAMILY,
+                network,
+                optimiser,
+                frames,
+                Recipe(batch=16),
+                range(3 * part, 3 * part + 3),
+                6,
+                rng,
+                lambda n: None,
+            )
+        return torch.cat([value.flatten() for value in network.state_dict().values()])
+
+    torch.testing.assert_close(weights(stop=True), weights(stop=False), rtol=0, atol=0)
+
+
+def test_the_learning_rate_falls_once_over_all_rounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates: list[float] = []
+
+    def watched(family: Any, network: Any, optimiser: torch.optim.Adam, *others: Any) -> float:
+        advance = others[-1]
+        return fit(
+            family, network, optimiser, *others[:-1],
+            lambda n: (advance(n), rates.append(optimiser.param_groups[0]["lr"])),
+        )  # fmt: skip
+
+    monkeypatch.setattr("policies.training.dagger.fit", watched)
+    train(TINY, tmp_path, lambda work: None)
+    assert len(rates) == TINY.steps_of(0) + TINY.steps_of(1) == 12
+    assert rates == sorted(rates, reverse=True)
+    assert rates[0] == pytest.approx(TINY.recipe.learning_rate)
+    assert rates[-1] < 0.05 * TINY.recipe.learning_rate
+
+
+class StoppedError(Exception):
+    """As good as a Ctrl-C."""
+
+
+def test_a_course_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> None:
+    told: list[float] = []
+    train(TINY, tmp_path / "whole", told.append)
+    assert sum(told) == pytest.approx(TINY.work())
+    whole = load_model(tmp_path / "whole")
+    for stop_at in (0.2, 0.5, 0.9):
+        done = 0.0
+
+        def advance(work: float, limit: float = stop_at * TINY.work()) -> None:
+            nonlocal done
+            done += work
+            if done > limit:
+                raise StoppedError
+
+        with pytest.raises(StoppedError):
+            train(TINY, tmp_path / "stopped", advance)
+    train(TINY, tmp_path / "stopped", lambda work: None)
+    stopped = load_model(tmp_path / "stopped")
+    assert stopped.threshold == whole.threshold
+    for name, value in whole.network.state_dict().items():
+        torch.testing.assert_close(stopped.network.state_dict()[name], value, rtol=0, atol=0)
+    assert (tmp_path / "stopped/metrics.csv").read_text() == (tmp_path / "whole/metrics.csv").read_text()
+
+
+def test_metrics_have_a_row_for_every_checkpoint_and_scenario(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    train(TINY, folder, lambda work: None)
+    with (folder / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    wanted = [(turn, segment, name) for turn in "01" for segment in "01" for name in NAMES]
+    assert [(row["round"], row["segment"], row["scenario"]) for row in rows] == wanted
+
+
+@pytest.mark.parametrize("torn", ["metrics.csv", "finalists.csv"])
+def test_a_torn_row_is_driven_again_and_nothing_else_is_done_twice(
+    torn: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(TINY, tmp_path, lambda work: None)
+    model, before = (tmp_path / "config.json").read_bytes(), (tmp_path / torn).read_text()
+    (tmp_path / torn).write_text(before[:-9])
+    (tmp_path / "config.json").unlink()
+    driven: list[range] = []
+
+    def watched(policy: Policy, envs: CADVectorEnv, seeds: range, advance: Any) -> list[Episode]:
+        driven.append(seeds)
+        return drive(policy, envs, seeds, advance)
+
+    monkeypatch.setattr("policies.training.dagger.drive", watched)
+    monkeypatch.setattr("policies.training.dagger.fit", None)
+    monkeypatch.setattr("policies.training.frame_cache.replay", None)
+    train(TINY, tmp_path, lambda work: None)
+    assert len(driven) == 1
+    assert (tmp_path / torn).read_text() == before
+    assert (tmp_path / "config.json").read_bytes() == model
+
+
+def test_stopped_in_the_first_scenario_of_a_validation_it_fits_nothing_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train(TINY, tmp_path / "whole", lambda work: None)
+    rounds = TINY.corrections + 1
+    last = rounds * TINY.segments  # the validation after the last segment
+    begun: list[range] = []
+
+    def stopping(policy: Policy, envs: CADVectorEnv, seeds: range, advance: Any) -> list[Episode]:
+        begun.append(seeds)
+        if len(begun) == (last - 1) * len(NAMES) + 1:
+            raise StoppedError
+        return drive(policy, envs, seeds, advance)
+
+    monkeypatch.setattr("policies.training.dagger.drive", stopping)
+    with pytest.raises(StoppedError):
+        train(TINY, tmp_path / "stopped", lambda work: None)
+    monkeypatch.setattr("policies.training.dagger.fit", None)
+    monkeypatch.setattr("policies.training.frame_cache.replay", None)
+    train(TINY, tmp_path / "stopped", lambda work: None)
+    for name in ("metrics.csv", "finalists.csv"):
+        assert (tmp_path / "stopped" / name).read_text() == (tmp_path / "whole" / name).read_text()
+
+
+def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then(tmp_path: Path) -> None:
+    log = Log(tmp_path / "metrics.csv")
+
+    def add(segment: int, scenario: str, failures: int, time: float) -> None:
+        found = {**dict.fromkeys(Log.COLUMNS, 0), "segment": segment, "threshold": 0.5}
+        log.add({**found, "scenario": scenario, "failures": failures, "mean_time": time})
+
+    for segment, failures, times in ((0, (0, 5), (9.0, 9.0)), (1, (2, 2), (9.0, 12.0)), (2, (4, 0), (9.0, 11.0))):
+        for name, few, time in zip(("one", "two"), failures, times, strict=True):
+            add(segment, name, few, time)
+    assert log.drivers() == [(0, 2, 0.5), (0, 1, 0.5), (0, 0, 0.5)]
+    assert Log(tmp_path / "metrics.csv").drivers() == log.drivers()
+    log.forget(0, 0)
+    add(0, "one", 0, 9.0)
+    add(0, "two", 0, 9.0)
+    assert log.drivers()[0] == (0, 0, 0.5)
+    assert len(log.rows) == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("episodes", 0), ("steps", 1), ("corrections", -1), ("corrections", 50), ("radio", "dsrk"),
+        ("thresholds", ()), ("thresholds", (0.5, 0.5)),
+    ],
+)  # fmt: skip
+def test_an_impossible_course_is_refused_with_the_name_and_the_value(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=rf"{name}.* {re.escape(repr(value))}(:|$)"):
+        Course(**{name: value})  # type: ignore[arg-type]
+
+
+def test_a_course_of_nothing_or_with_a_threshold_that_is_no_probability_is_refused() -> None:
+    with pytest.raises(ValueError, match="scenarios must name at least one, each once, got ''"):
+        Course(scenarios=())
+    with pytest.raises(ValueError, match=r"thresholds must be a number from 0 to 1, got 1\.5"):
+        Course(thresholds=(0.5, 1.5))
+
+
+@pytest.mark.parametrize(("name", "value"), [("batch", 0), ("learning_rate", -1.0), ("brake_share", 1.5)])
+def test_an_impossible_recipe_is_refused_with_the_name_and_the_value(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be a number .*got {value}"):
+        Recipe(**{name: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("batch", "share", "scenarios"), [(4, 0.3, 3), (96, 0.0, 3), (96, 1.0, 3), (1, 0.5, 1)])
+def test_a_batch_without_frames_of_both_kinds_is_refused_before_anything_is_recorded(
+    batch: int, share: float, scenarios: int
+) -> None:
+    with pytest.raises(ValueError, match=f"batch={batch} with brake_share={share} must hold frames of both kinds"):
+        Course(scenarios=tuple(SCENARIOS)[:scenarios], recipe=Recipe(batch, brake_share=share))
+
+
+def test_a_damaged_checkpoint_is_refused_with_its_name(tmp_path: Path) -> None:
+    network = StGraphNet(seed=0)
+    optimiser = torch.optim.Adam(network.parameters())
+    path = tmp_path / "state.safetensors"
+    save_state(path, network, optimiser, 0.25)
+    whole = path.read_bytes()
+    for broken in (b"", whole[:100], whole[:-4], b"not safetensors"):
+        path.write_bytes(broken)
+        with pytest.raises(ModelError, match=r"state\.safetensors: not a checkpoint") as error:
+            load_state(path, network, optimiser)
+        assert "\n" not in str(error.value)

@@ -1,0 +1,197 @@
+"""A recording: what was driven comes back frame by frame, under any radio, and what is damaged is refused."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cad_env.envs.single import CADEnv
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.rules.planner import Expert
+from cad_env.types import BRAKE, Observation
+from policies.stgraph.network import StGraphNet
+from policies.stgraph.spec import FAMILY
+from policies.threshold_policy import LearnedPolicy
+from policies.training import demonstrations as recording
+from policies.training.demonstrations import (
+    Recording,
+    ReplayError,
+    ShardError,
+    joined,
+    read_shard,
+    record,
+    replay,
+    write_shard,
+)
+
+MADE_WITH = {"scenario": "left_turn"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recording")
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path) -> Recording:
+    return joined(record(folder, CADVectorEnv(4, radio="none"), None, range(6), lambda n: None))
+
+
+def seen(simulation: object, observation: Observation) -> Observation:
+    return observation
+
+
+@pytest.mark.parametrize("radio", ["dsrc", "none"])
+def test_a_replay_shows_every_frame_as_the_expert_met_it(recorded: Recording, radio: str) -> None:
+    env, expert = CADEnv(radio=radio), Expert()
+    looks, labels = replay(recorded, CADVectorEnv(3, radio=radio), seen)
+    mine = np.flatnonzero(np.repeat(recorded.seed, recorded.length) == 3)
+    observation, info = env.reset(seed=3)
+    for frame in mine:
+        for name, value in observation.items():
+            np.testing.assert_array_equal(looks[frame][name], value, err_msg=name)
+        label = expert.act(env.truth())
+        assert labels[frame] == label
+        observation, *_, info = env.step(label)
+    assert info["outcome"] == "success"
+
+
+def test_frames_are_the_observations_that_were_replayed(recorded: Recording) -> None:
+    envs = CADVectorEnv(4)
+    looks, _ = replay(recorded, envs, seen)
+    frames = FAMILY.frames(*replay(recorded, envs, FAMILY.look))
+    chosen = np.array([7, 0, 7, len(frames) - 1])
+    for name, values in frames.batch(chosen).items():
+        half_a_centimetre = 0.0051 if name == "tracks" else 0.0
+        wanted = np.stack([looks[k][name] for k in chosen])
+        if name == "tracks":  # where there is no node there is nothing to keep
+            wanted = wanted * frames.batch(chosen)["mask"][..., None]
+        np.testing.assert_allclose(values, wanted, rtol=0, atol=half_a_centimetre, err_msg=name)
+    assert len(frames) == recorded.length.sum()
+    assert 0.0 < (frames.label == BRAKE).mean() < 0.3
+
+
+def test_joined_frames_keep_their_order(recorded: Recording) -> None:
+    frames = FAMILY.frames(*replay(recorded, CADVectorEnv(4), FAMILY.look))
+    both = frames.joined([frames])
+    assert len(both) == 2 * len(frames)
+    last = np.array([len(frames) - 1])
+    np.testing.assert_array_equal(both.batch(last + len(frames))["tracks"], frames.batch(last)["tracks"])
+
+
+def test_a_frame_without_any_node_is_kept() -> None:
+    observation, _ = CADEnv().reset(seed=0)
+    nothing = {**observation, "mask": np.zeros_like(observation["mask"])}
+    looks = [FAMILY.look(None, one) for one in (nothing, observation)]  # type: ignore[arg-type]
+    frames = FAMILY.frames(looks, [0, 0])
+    assert not frames.batch(np.array([0]))["mask"].any()
+    np.testing.assert_array_equal(frames.batch(np.array([1]))["mask"][0], observation["mask"])
+
+
+def test_an_episode_that_goes_another_way_is_an_error(recorded: Recording) -> None:
+    with pytest.raises(ReplayError, match="does not end as it was recorded"):
+        replay(recorded, CADVectorEnv(2, traffic="dense"), seen)
+    with pytest.raises(ReplayError, match="episode 2 does"):
+        replay(replace(recorded, outcome=np.where(recorded.seed == 2, 2, recorded.outcome)), CADVectorEnv(2), seen)
+
+
+@pytest.mark.parametrize("mixing", [0.0, 0.5, 1.0])
+def test_whoever_drives_the_label_is_the_experts_and_mixing_is_its_share(mixing: float, tmp_path: Path) -> None:
+    driver = LearnedPolicy(StGraphNet(seed=1), threshold=0.0)  # it always brakes, the expert hardly ever
+    driven = joined(record(tmp_path, CADVectorEnv(2), driver, range(2), lambda n: None, mixing))
+    braked = driven.action == BRAKE
+    assert (driven.label == BRAKE).mean() < 0.3
+    assert {0.0: braked.all(), 0.5: 0.3 < braked.mean() < 0.8, 1.0: (driven.action == driven.label).all()}[mixing]
+
+
+def test_a_second_recording_reads_the_shards_of_the_first(
+    folder: Path, recorded: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def drive(*_: object) -> Iterator[Recording]:
+        raise AssertionError("an episode was driven again")
+
+    monkeypatch.setattr(recording, "_drive", drive)
+    again = joined(record(folder, CADVectorEnv(2, radio="ideal"), None, range(6), lambda n: None))
+    np.testing.assert_array_equal(again.action, recorded.action)
+
+
+def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
+    recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driven: list[int] = []
+
+    def watched(envs: CADVectorEnv, seeds: list[int], decide: object) -> Iterator[tuple[int, int]]:
+        for episode, outcome in played(envs, seeds, decide):
+            driven.append(seeds[episode])
+            yield episode, outcome
+            if len(driven) == 4:
+                raise KeyboardInterrupt
+
+    played = recording._play
+    monkeypatch.setattr(recording, "_play", watched)
+    monkeypatch.setattr(recording, "KEPT_EVERY", 0.0)
+    with pytest.raises(KeyboardInterrupt):
+        record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None)
+    again = joined(record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None))
+    assert sorted(driven) == list(range(6))
+    for name in ("seed", "length", "outcome", "action", "label"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(recorded, name), err_msg=name)
+    assert [path.name for path in tmp_path.iterdir()] == ["shard_00000.npz"]
+
+
+def test_a_shard_that_another_process_finishes_meanwhile_is_no_error(
+    folder: Path, recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = tmp_path / "shard_00000.begun.npz"
+    begun.write_bytes((folder / "shard_00000.npz").read_bytes())
+    reads = recording.read_shard
+
+    def finished_first(path: Path, made_with: Any) -> Recording:
+        if path == begun:
+            begun.unlink()
+        return reads(path, made_with)
+
+    monkeypatch.setattr(recording, "read_shard", finished_first)
+    again = joined(record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None))
+    np.testing.assert_array_equal(again.action, recorded.action)
+    begun.write_bytes(b"left by a kill between the last two steps")
+    record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None)
+    assert not begun.exists()
+
+
+def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded: Recording) -> None:
+    with pytest.raises(ShardError, match="holds other episodes"):
+        record(folder, CADVectorEnv(1), None, range(5), lambda n: None)
+    with pytest.raises(ShardError, match="has traffic 'light', not 'dense'"):
+        record(folder, CADVectorEnv(1, traffic="dense"), None, range(6), lambda n: None)
+
+
+@pytest.mark.parametrize("damage", ["truncated", "altered", "empty", "text", "missing"])
+def test_a_damaged_shard_is_refused_with_its_name(damage: str, recorded: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "shard_00000.npz"
+    write_shard(path, recorded, MADE_WITH)
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    broken = {
+        "truncated": whole[:middle],
+        "altered": whole[:middle] + bytes(32) + whole[middle + 32 :],
+        "empty": b"",
+        "text": b"not a zip",
+    }
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_bytes(broken[damage])
+    with pytest.raises(ShardError, match="shard_00000") as error:
+        read_shard(path, MADE_WITH)
+    assert "\n" not in str(error.value)
+
+
+def test_a_shard_whose_arrays_do_not_fit_is_refused(recorded: Recording, tmp_path: Path) -> None:
+    path = tmp_path / "shard.npz"
+    write_shard(path, replace(recorded, label=recorded.label[:-1]), MADE_WITH)
+    with pytest.raises(ShardError, match="do not fit"):
+        read_shard(path, MADE_WITH)

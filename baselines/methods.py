@@ -63,7 +63,7 @@ def _cautious(_: Path) -> Policy:
 
 
 def _expert(_: Path) -> Policy:
-    from cad_env.rules.planner import Expert
+    from cad_env.rules.expert import Expert
 
     return Expert()
 

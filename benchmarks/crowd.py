@@ -8,7 +8,7 @@ from cad_env.scenarios.junction import ARM, ARMS
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import HIDDEN, Placement, Scene
 from cad_env.simulation.batch import Ensemble
-from cad_env.simulation.simulation import setup_from
+from cad_env.simulation.setup import setup_from
 from cad_env.world.state import STANDING
 
 FIRST, SPACING = 60.0, 7.0  # m from the junction's centre to the first parked car of an arm, and from one to the next

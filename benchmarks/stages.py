@@ -16,7 +16,7 @@ from cad_env.pipeline.step import SENSE, _rows_at, _tracks_at, deliver, fuse, sh
 from cad_env.pipeline.track import confirmed, seen_now, update
 from cad_env.simulation.batch import Ensemble
 from cad_env.simulation.scene_step import scene_at, tell
-from cad_env.simulation.simulation import setup_from
+from cad_env.simulation.setup import setup_from
 from cad_env.types import FRAMES, STEP
 from cad_env.world.step import advance
 

@@ -18,7 +18,7 @@ from stages import FOUR
 from torch import Tensor, nn
 
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.rules.planner import Expert
+from cad_env.rules.expert import Expert
 from cad_env.scenarios import SCENARIOS
 from cad_env.scoring.rollout import rollouts
 from policies.stgraph.compiled.module import fused_logits

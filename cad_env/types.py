@@ -20,6 +20,9 @@ Observation = dict[str, NDArray[Any]]
 GO, BRAKE = 0, 1
 CAR, TRUCK = 0, 1
 
+# How an episode ends.
+SUCCESS, COLLISION, TIMEOUT = OUTCOMES = ("success", "collision", "timeout")
+
 STEP = 0.1  # s, one decision
 FRAMES = 15  # frames in a graph window: 1.5 s at 10 Hz
 ROWS = 32  # tracks a vehicle can hold at once, its own body included

@@ -22,8 +22,8 @@ from cad_env.rendering.viewer import picture
 from cad_env.rules.planner import Planner
 from cad_env.scenarios import SCENARIOS, scenario_named
 from cad_env.scoring.rollout import rollout
-from cad_env.simulation.simulation import COLLISION, SUCCESS, Simulation
-from cad_env.types import BRAKE, Image
+from cad_env.simulation.simulation import Simulation
+from cad_env.types import BRAKE, COLLISION, SUCCESS, Image
 from cad_env.world.state import OFF
 
 FIRST_SEED = 1_000_000  # as in evaluation: training never sees these

@@ -14,8 +14,7 @@ from tqdm import tqdm
 
 from baselines.methods import contender_named, shipped_models
 from cad_env.envs.parallel import CADParallelEnv
-from cad_env.scoring.fleet import FleetEpisode, rollout_fleet
-from cad_env.scoring.fleet_score import fleet_scores, fleet_table
+from cad_env.scoring.fleet import FleetEpisode, fleet_scores, fleet_table, rollout_fleet
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from tqdm import tqdm
 
 from cad_env.envs.fixed_agents import FixedAgents
 from cad_env.envs.parallel import CADParallelEnv
-from cad_env.scoring.fleet import FleetEpisode, rollout_fleet
-from cad_env.scoring.fleet_score import fleet_scores, fleet_table
+from cad_env.scoring.fleet import FleetEpisode, fleet_scores, fleet_table, rollout_fleet
 from cad_env.types import Ints, Observation
 
 

@@ -14,6 +14,7 @@ from cad_env.types import Floats, Ints, Observation
 from policies.stgraph.compiled.module import FusedNet, supports
 from policies.stgraph.network import StGraphNet
 
+_CLOUDS_AT_ONCE = 64
 _AT_ONCE = 256  # graphs in one dense pass, which bounds the memory of a large batch
 
 
@@ -85,3 +86,21 @@ class DenseNet:
         with torch.inference_mode():
             parts = [self._network({k: v[at : at + self._at_once] for k, v in whole.items()}) for at in starts]
         return torch.cat(parts).numpy() if parts else np.empty((0, 2))
+
+
+class CloudDriver(ThresholdDriver):
+    """A network that reads the clouds an environment shows.
+
+    It computes in double precision: the order of a sum may depend on the size of the batch, and in single precision
+    that could turn a decision.
+    """
+
+    def __init__(self, network: nn.Module, threshold: float = 0.5) -> None:
+        super().__init__(("cloud", "cloud_mask", "command"), threshold)
+        self._logits = DenseNet(network, _CLOUDS_AT_ONCE)
+
+    def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+        """P(brake), (n,), for observations stacked along a new first axis."""
+        logits = torch.from_numpy(self._logits({key: observations[key] for key in self.keys}))
+        probability: NDArray[np.float64] = torch.softmax(logits, dim=1)[:, 1].numpy()
+        return probability

@@ -78,9 +78,7 @@ class Settings:
             check_range("threshold", self.threshold, 0.0, 1.0)
         if self.hazard not in HAZARDS:
             raise ValueError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}")
-        from cad_env.simulation.simulation import (
-            setup_from,  # here, because highway-env takes a second that --help need not wait
-        )
+        from cad_env.simulation.setup import setup_from
 
         for scenario in self.scenarios():
             setup_from(self._environment(scenario, self.radio_config(), self.depth))

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from baselines.paper.closed_metrics import OURS, ClosedRow
 from baselines.paper.open_metrics import OpenScore
-from baselines.paper.statistics import Estimate
 from baselines.paper.tables import markdown, number, percent, share, spoken
+from cad_env.scoring.interval import Estimate
 
 SMALLER = {"compressed": 100.0, "raw-points": 1000.0}  # times, as encoded
 Rows = Mapping[str, ClosedRow]  # by contender

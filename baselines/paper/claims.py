@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from baselines.paper.closed_metrics import OURS, ClosedRow, difference, success_pairs
 from baselines.paper.folder import Drives
-from baselines.paper.statistics import Estimate, holm, mcnemar_of_seeds
+from baselines.paper.statistics import holm, mcnemar_of_seeds
+from cad_env.scoring.interval import Estimate
 
 ABLATIONS = ((OURS, "stgraph-own"), (OURS, "collab-gat"), ("stgraph-own", "gat"), ("collab-gat", "gat"))
 BASELINES = ("gat", "raw-points", "compressed", "ppo", "command-only", "stgraph-no-edges")

@@ -10,15 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.paper.folder import Drives
-from baselines.paper.statistics import (
-    Estimate,
-    Mcnemar,
-    difference_estimate,
-    holm,
-    mcnemar_of_seeds,
-    mean_estimate,
-    wilson_estimate,
-)  # fmt: skip
+from baselines.paper.statistics import Mcnemar, difference_estimate, holm, mcnemar_of_seeds, mean_estimate  # fmt: skip
+from cad_env.scoring.interval import Estimate, wilson_estimate
 from cad_env.scoring.scorecard import Record
 from cad_env.types import STEP, Bools, Floats
 

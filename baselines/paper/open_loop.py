@@ -18,7 +18,7 @@ from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.methods import Contender
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.rules.planner import Expert
+from cad_env.rules.expert import Expert
 from cad_env.scoring.rollout import BatchPolicy, rollouts
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, Floats, Ints, Observation, Policy

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.paper.open_loop import OpenEpisode, OpenLoop
-from baselines.paper.statistics import DRAWS, Estimate, percentile_estimates, resampled_sums
+from baselines.paper.statistics import DRAWS, percentile_estimates, resampled_sums
+from cad_env.scoring.interval import Estimate
 from cad_env.types import Bools, Floats, Ints
 
 AP_DRAWS = 200  # of the average precision, which runs through all frames in every one

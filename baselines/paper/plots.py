@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from baselines.paper.closed_metrics import ClosedRow
 from baselines.paper.folder import ROWS
-from baselines.paper.statistics import Estimate
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import spoken
+from cad_env.scoring.interval import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

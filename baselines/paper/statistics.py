@@ -14,35 +14,12 @@ from itertools import product
 import numpy as np
 from scipy.stats import binomtest
 
+from cad_env.scoring.interval import Estimate
 from cad_env.types import Bools, Floats
 
 DRAWS = 2000  # of a bootstrap
 LEVEL = 0.95
 _Z = 1.959963984540054  # the 97.5th percentile of the normal distribution
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-def wilson_estimate(rate: float, episodes: int) -> Estimate:
-    """A rate over so many episodes with its Wilson interval; the mean of several training seeds need not be a count.
-
-    >>> estimate = wilson_estimate(0.1, 500)
-    >>> round(estimate.low, 4), round(estimate.high, 4)
-    (0.0767, 0.1294)
-    """
-    if not 0.0 <= rate <= 1.0 or episodes < 1:
-        raise ValueError(f"a rate must be from 0 to 1 over at least one episode, got {rate!r} over {episodes!r}")
-    shrink = 1.0 + _Z**2 / episodes
-    middle = (rate + 0.5 * _Z**2 / episodes) / shrink
-    half = _Z * math.sqrt(rate * (1.0 - rate) / episodes + 0.25 * (_Z / episodes) ** 2) / shrink
-    return Estimate(rate, max(0.0, min(rate, middle - half)), min(1.0, max(rate, middle + half)))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from baselines.paper.claims import Order
 from baselines.paper.closed_metrics import HARD_BRAKE, OURS, ClosedRow
 from baselines.paper.open_metrics import OpenScore
 from baselines.paper.published import SCENES, Published
-from baselines.paper.statistics import Estimate
+from cad_env.scoring.interval import Estimate
 
 Scores = Mapping[str, Mapping[str, OpenScore]]  # scenario -> contender
 NONE = "-"

@@ -18,11 +18,12 @@ from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
-from cad_env.rules.planner import Truth
 from cad_env.scenarios import SCENARIOS
 from cad_env.simulation.scene_step import MAX_STEPS
-from cad_env.simulation.simulation import COLLISION, FINAL_REWARD, SUCCESS, TIMEOUT, Simulation, outcome_of, setup_from
-from cad_env.types import GO, Floats, Ints, Observation
+from cad_env.simulation.setup import setup_from
+from cad_env.simulation.simulation import FINAL_REWARD, Simulation, outcome_of
+from cad_env.types import COLLISION, GO, SUCCESS, TIMEOUT, Floats, Ints, Observation
+from cad_env.world.state import Truth
 
 COLLABORATORS = (3, 3)  # a fixed number unless asked otherwise: many multi-agent libraries want fixed agents
 WAITED = "waited"  # the outcome of a vehicle that could only wait, and was not hit

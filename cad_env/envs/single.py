@@ -15,10 +15,11 @@ from cad_env.lidar.config import space_with
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
-from cad_env.rules.planner import Truth
 from cad_env.scenarios import scenario_named
-from cad_env.simulation.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation, setup_from
-from cad_env.types import BRAKE, GO, Floats, Observation
+from cad_env.simulation.setup import setup_from
+from cad_env.simulation.simulation import Simulation
+from cad_env.types import BRAKE, COLLISION, GO, SUCCESS, TIMEOUT, Floats, Observation
+from cad_env.world.state import Truth
 
 RENDER_MODES = ("human", "rgb_array")
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud")

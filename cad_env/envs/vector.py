@@ -15,7 +15,7 @@ from cad_env.envs.single import checked_hazard
 from cad_env.lidar.config import space_with
 from cad_env.simulation.batch import Ensemble, masked
 from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
-from cad_env.simulation.simulation import setup_from
+from cad_env.simulation.setup import setup_from
 from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
 
 Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]

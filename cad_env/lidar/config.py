@@ -114,3 +114,6 @@ def _check_whole(name: str, value: Any, low: int, high: int) -> None:
     check_range(name, value, low, high)
     if int(value) != value:
         raise ValueError(f"{name} must be a whole number, got {value!r}")
+
+
+MAX_RANGE = 300.0  # m of the sensor: the coordinates of raw points are two bytes of centimetres

@@ -11,8 +11,8 @@ from cad_env.pipeline.radio import LOST, REACHES
 from cad_env.rendering.bodies import crossed, draw_body, draw_burst
 from cad_env.rendering.canvas import BLACK, PANEL, WHITE, Canvas, Colour, Tag
 from cad_env.rendering.sight import corners, in_sight
-from cad_env.simulation.simulation import COLLISION, SUCCESS, TIMEOUT, Simulation
-from cad_env.types import BRAKE, Bools, Command, Graph, Ints
+from cad_env.simulation.simulation import Simulation
+from cad_env.types import BRAKE, COLLISION, SUCCESS, TIMEOUT, Bools, Command, Graph, Ints
 from cad_env.world.state import OFF
 
 # Who sees a vehicle. Okabe and Ito's colours (2008), told apart by all kinds of colour vision.

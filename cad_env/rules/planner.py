@@ -11,7 +11,7 @@ with it, and waits at its gate: once it is out there, braking does not help.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from cad_env.rules.motion import fit_motion, lane_heading
 from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, TRUCK, Floats, Ints, Observation
 from cad_env.world.drivers import COMMANDED_BRAKING, idm_acceleration
 from cad_env.world.geometry import boxes_touch
-from cad_env.world.state import COMMAND_DELAY, OFF, Routes, World
+from cad_env.world.state import COMMAND_DELAY
 
 SLOWEST = 1.5  # m/s, below which a vehicle is taken to stand
 CROSSING = math.radians(40)  # rad between the ego's heading and another's, above which it is not the same stream
@@ -59,22 +59,6 @@ class PlannerConfig:
     def rule(self) -> Rule:
         """The compiled code's view."""
         return Rule(float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin), float(self.gate))
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What a privileged policy is given: the world itself, and which row it drives."""
-
-    world: World
-    routes: Routes
-    row: int
-
-
-class Truths(Protocol):
-    """The same of the egos of n scenes, which know how to ask all of them."""
-
-    def decided(self, rule: Rule) -> Ints:
-        """The expert's decisions, (n,)."""
 
 
 @compiled
@@ -164,35 +148,6 @@ def decide(way: Floats, ego: Floats, others: Floats, stretch: tuple[float, float
 
 
 @compiled
-def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
-    """The expert's decision for one vehicle of the world."""
-    count = world.speed.shape[0]
-    others = np.empty((count, 6))
-    n = 0
-    for k in range(count):
-        if k == row or world.driver[k] == OFF:
-            continue
-        others[n, 0], others[n, 1] = world.position[k, 0], world.position[k, 1]
-        others[n, 2], others[n, 3] = world.heading[k], world.speed[k]
-        others[n, 4], others[n, 5] = world.size[k, 0], world.size[k, 1]
-        n += 1
-    last = routes.point.shape[1] - 1
-    route = world.route[row]
-    here = min(int(world.progress[row] / routes.spacing + 0.5), last)
-    stretch = oncoming_stretch(routes.oncoming[route, here:], routes.spacing)
-    seen = rule.look_ahead * max(world.speed[row], world.target_speed[row])
-    if stretch[0] <= rule.gate:
-        seen = max(seen, stretch[1])
-    way = np.empty((int(seen / ROUTE_SPACING) + 3, 2))
-    for p in range(way.shape[0]):
-        index = min(int((world.progress[row] + p * ROUTE_SPACING) / routes.spacing + 0.5), last)
-        way[p, 0], way[p, 1] = routes.point[route, index, 0], routes.point[route, index, 1]
-    way[0, 0], way[0, 1] = world.position[row, 0], world.position[row, 1]
-    ego = np.array([world.speed[row], world.target_speed[row], world.size[row, 0], world.size[row, 1]])
-    return decide(way, ego, others[:n], stretch, rule)
-
-
-@compiled
 def way_of(route: Floats) -> Floats:
     """The way from the ego on, which is the origin, (P + 1, 2) m, by the route (P, 2) of an observation."""
     way = np.zeros((route.shape[0] + 1, 2))
@@ -259,22 +214,3 @@ class Planner:
             seen["oncoming"], self.config.rule, chosen,
         )  # fmt: skip
         return chosen
-
-
-@dataclass
-class Expert:
-    """The same rules on the truth: whom the networks imitate."""
-
-    config: PlannerConfig = field(default_factory=PlannerConfig)
-    privileged: bool = True
-
-    def reset(self, seed: int) -> None:
-        """Nothing to forget: the rules have no memory."""
-
-    def act(self, observation: Truth) -> int:
-        """GO or BRAKE on the truth."""
-        return decide_on_truth(observation.world, observation.routes, observation.row, self.config.rule)
-
-    def act_batch(self, observations: Truths) -> Ints:
-        """GO or BRAKE, (n,), in n scenes."""
-        return observations.decided(self.config.rule)

@@ -1,13 +1,17 @@
 """The one closed loop for a fleet: a multi-agent environment + policies -> FleetEpisode."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from cad_env.envs.parallel import CADParallelEnv
+from cad_env.scoring.interval import Share, clustered, share
 from cad_env.scoring.rollout import BatchPolicy
+from cad_env.scoring.scorecard import KINDS
+from cad_env.scoring.table import percent, text_table
 from cad_env.types import BRAKE, STEP, Ints, Observation, Policy
 
 
@@ -139,3 +143,86 @@ class _Record:
     def episode(self, name: str, outcome: str) -> AgentEpisode:
         action = np.array(self.action, np.int8)
         return AgentEpisode(name, outcome, self.waits, action, self.sent, self.received, self.lost)
+
+
+@dataclass(frozen=True)
+class FleetScore:
+    """How a contender's fleets did in a scenario: one row of the table."""
+
+    scenario: str
+    contender: str
+    hazard: str  # which episodes count: all, those with a hazard (yes), those without (no)
+    episodes: int
+    crashed_episodes: Share  # of the episodes, those in which any agent collided; Wilson's interval
+    collisions: Share  # of all agents; effective sample size
+    successes: Share  # of the agents that do not wait; effective sample size
+    timeouts: Share  # of the agents that do not wait; effective sample size
+    waits: int  # agents that could only wait
+    mean_time_success: float | None  # s, over the agents that arrived
+    needless_brakes: Share | None  # of agents that do not wait, those that braked at all; only where there is no hazard
+    bytes_per_second: float  # that an agent sends, mean over their time
+
+
+def fleet_scores(episodes: Iterable[FleetEpisode]) -> list[FleetScore]:
+    """Rows for all episodes, those with a hazard and those without, as far as there are any.
+
+    Scenarios and contenders come in the order of their first episode.
+    """
+    groups: dict[tuple[str, str], list[FleetEpisode]] = {}
+    for episode in episodes:
+        groups.setdefault((episode.scenario, episode.contender), []).append(episode)
+    return [
+        fleet_score(kind, chosen)
+        for group in groups.values()
+        for kind in KINDS
+        if (chosen := [episode for episode in group if kind == "all" or episode.hazard == (kind == "yes")])
+    ]
+
+
+def fleet_score(kind: str, episodes: Sequence[FleetEpisode]) -> FleetScore:
+    """The row of at least one episode, all of one scenario and contender."""
+    everyone = [episode.agents for episode in episodes]
+    drivers = [[agent for agent in agents if not agent.waits] for agents in everyone]
+    sizes = [len(agents) for agents in drivers]
+    flat = [agent for agents in everyone for agent in agents]
+    crashed = sum(episode.collisions > 0 for episode in episodes)
+    arrived = [agent.time for agent in flat if agent.outcome == "success"]
+    braked = [sum(agent.brakes > 0 for agent in agents) for agents in drivers]
+
+    def drivers_with(outcome: str) -> list[int]:
+        return [sum(agent.outcome == outcome for agent in agents) for agents in drivers]
+
+    return FleetScore(
+        episodes[0].scenario, episodes[0].contender, kind, len(episodes),
+        share(crashed, len(episodes)),
+        clustered([episode.collisions for episode in episodes], [len(agents) for agents in everyone]),
+        clustered(drivers_with("success"), sizes), clustered(drivers_with("timeout"), sizes),
+        len(flat) - sum(sizes), math.fsum(arrived) / len(arrived) if arrived else None,
+        clustered(braked, sizes) if kind == "no" else None,
+        sum(agent.bytes_sent for agent in flat) / math.fsum(agent.time for agent in flat),
+    )  # fmt: skip
+
+
+_TITLES = ("scenario", "contender", "hazard", "episodes", "any collision % [95 %]", "agents", "collided % [95 %]",
+           "drive", "arrived % [95 %]", "late %", "time s", "needless brakes %", "bytes/s")  # fmt: skip
+
+
+def fleet_table(rows: Sequence[FleetScore]) -> str:
+    """The rows as text: rates in per cent with their interval, a dash where there is nothing to say.
+
+    "any collision" counts episodes, "collided" agents, "arrived" and "late" the agents that drive.
+    """
+    return text_table(_TITLES, [_cells(row) for row in rows])
+
+
+def _cells(row: FleetScore) -> tuple[str, ...]:
+    return (
+        row.scenario, row.contender, row.hazard, str(row.episodes), _percent(row.crashed_episodes),
+        str(row.collisions.of), _percent(row.collisions), str(row.successes.of), _percent(row.successes),
+        f"{100 * row.timeouts.rate:.1f}", "-" if row.mean_time_success is None else f"{row.mean_time_success:.1f}",
+        _percent(row.needless_brakes), f"{row.bytes_per_second:.0f}",
+    )  # fmt: skip
+
+
+def _percent(part: Share | None) -> str:
+    return "-" if part is None else percent(part.rate, part.low, part.high)

@@ -1,19 +1,13 @@
-"""Records of episodes -> Scorecards: pure functions. A rate never comes without its interval.
-
-Intervals are Wilson's, 95 %: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
-Journal of the American Statistical Association 22 (1927).
-"""
+"""Records of episodes -> Scorecards: pure functions. A rate never comes without its interval."""
 
 import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 
-from scipy.stats import binomtest
+from cad_env.scoring.interval import wilson
+from cad_env.types import OUTCOMES, STEP
 
-from cad_env.types import STEP
-
-OUTCOMES = ("success", "collision", "timeout")
 KINDS = ("all", "yes", "no")
 
 
@@ -100,17 +94,6 @@ def parse_record(line: str) -> Record:
     return Record(**values)
 
 
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """The 95 % Wilson interval of a rate.
-
-    >>> low, high = wilson(50, 500)
-    >>> round(low, 4), round(high, 4)
-    (0.0767, 0.1294)
-    """
-    interval = binomtest(count, of).proportion_ci(confidence_level=0.95, method="wilson")
-    return float(interval.low), float(interval.high)
-
-
 @dataclass(frozen=True)
 class Scorecard:
     """How a contender did in a scenario: one row of the table. Rates are shares of `episodes`."""
@@ -188,45 +171,3 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 _Interval = tuple[float | None, float | None, float | None]
-
-TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
-           "time s", "needless brakes %", "bytes/message", "max")  # fmt: skip
-
-
-def table(rows: Sequence[Scorecard]) -> str:
-    """The rows as text, scenario by scenario: rates in per cent with their interval, a dash where there is no value."""
-    cells = [TITLES, *(cells_of(row) for row in rows)]
-    widths = [max(len(line[k]) for line in cells) for k in range(len(TITLES))]
-    lines = ["  ".join(_aligned(k, cell, widths[k]) for k, cell in enumerate(line)).rstrip() for line in cells]
-    head = [lines[0], "-" * max(len(line) for line in lines)]
-    parts: dict[str, list[str]] = {}
-    for row, line in zip(rows, lines[1:], strict=True):
-        parts.setdefault(row.scenario, []).append(line)
-    return "\n\n".join("\n".join(head + part) for part in parts.values())
-
-
-def _aligned(column: int, cell: str, width: int) -> str:
-    return cell.ljust(width) if column < 3 else cell.rjust(width)
-
-
-def cells_of(row: Scorecard) -> tuple[str, ...]:
-    """A row of the table as text, under TITLES."""
-    return (
-        row.scenario, row.contender, row.hazard, str(row.episodes),
-        _percent(row.collision_rate, row.collision_low, row.collision_high),
-        _percent(row.success_rate, row.success_low, row.success_high),
-        str(row.timeouts), f"{row.mean_time:.1f}",
-        _percent(row.needless_brakes, row.needless_low, row.needless_high),
-        "-" if row.bytes_per_message_mean is None else f"{row.bytes_per_message_mean:.0f}",
-        "-" if row.bytes_per_message_max is None else str(row.bytes_per_message_max),
-    )  # fmt: skip
-
-
-def _percent(rate: float | None, low: float | None, high: float | None) -> str:
-    """
-    >>> _percent(0.1, 0.0767, 0.1293)
-    '10.0 [ 7.7, 12.9]'
-    """
-    if rate is None or low is None or high is None:
-        return "-"
-    return f"{100 * rate:.1f} [{100 * low:4.1f},{100 * high:5.1f}]"

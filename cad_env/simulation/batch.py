@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from cad_env.lidar.config import CloudConfig
 from cad_env.simulation.cloud_exchange import exchange
-from cad_env.simulation.scene_step import Board, Truths, play
-from cad_env.simulation.simulation import COLLISION, OUTCOMES, REFUSALS, SUCCESS, Setup, Simulation
-from cad_env.types import Bools, Ints, Observation
+from cad_env.simulation.scene_step import OUTCOME_BY_CODE, Board, Truths, play
+from cad_env.simulation.setup import Setup
+from cad_env.simulation.simulation import REFUSALS, Simulation
+from cad_env.types import COLLISION, SUCCESS, Bools, Ints, Observation
 
-_OUTCOMES, _REFUSALS = np.array(OUTCOMES, object), np.array(REFUSALS, object)
+_OUTCOMES, _REFUSALS = np.array(OUTCOME_BY_CODE, object), np.array(REFUSALS, object)
 
 
 class Ensemble:

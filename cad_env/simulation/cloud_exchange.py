@@ -29,7 +29,6 @@ from cad_env.simulation.scene_step import LiveScene, tell_air
 from cad_env.types import FRAMES, STEP, Bytes, Floats, Ints
 from cad_env.world.state import World
 
-MAX_RANGE = 300.0  # m of the sensor: the coordinates of raw points are two bytes of centimetres
 BATCH = 64  # clouds in one call of a codec; a thousand at once would not fit into memory
 
 

@@ -18,8 +18,7 @@ from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, new_fleet, run
-from cad_env.rules.planner import Rule, decide_on_truth
-from cad_env.types import FRAMES, Bytes, Floats, Ints
+from cad_env.types import COLLISION, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, World, empty_routes, empty_world
 from cad_env.world.step import advance
 from cad_env.world.time_to_contact import time_to_contact
@@ -27,6 +26,7 @@ from cad_env.world.time_to_contact import time_to_contact
 MAX_STEPS = 300  # decisions: 30 s
 # How it stands for a vehicle, as compiled code knows it, and the reward that comes with it.
 UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3
+OUTCOME_BY_CODE = (None, SUCCESS, COLLISION, TIMEOUT)
 FINAL_REWARDS = (0.0, 1.0, -1.0, 0.0)
 
 
@@ -184,16 +184,3 @@ class Truths:
 
     board: Board
     which: Ints  # (n,)
-
-    def decided(self, rule: Rule) -> Ints:
-        """What the expert decides for their egos, (n,)."""
-        chosen = np.empty(len(self.which), np.int64)
-        _decide(self.board.shelf, self.which, rule, chosen)
-        return chosen
-
-
-@compiled
-def _decide(shelf: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
-    for k in range(which.shape[0]):
-        scene = scene_at(shelf, which[k])
-        chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)

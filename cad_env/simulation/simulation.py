@@ -6,14 +6,13 @@ out what it shows.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
-from cad_env.lidar.config import CloudConfig, OwnCloud, cloud_config
+from cad_env.config import radio_config
+from cad_env.lidar.config import OwnCloud
 from cad_env.numerics.jit import announce_compilation
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.graph_arrays import as_graph
@@ -21,68 +20,17 @@ from cad_env.pipeline.observe import as_observation, empty_view
 from cad_env.pipeline.radio import REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
 from cad_env.pipeline.step import Fleet, new_fleet
-from cad_env.rules.planner import Truth
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
-from cad_env.simulation.cloud_exchange import MAX_RANGE, Sharing, exchange
-from cad_env.simulation.scene_step import FINAL_REWARDS, Board, LiveScene, play, verdict
-from cad_env.types import FRAMES, STEP, Floats, Graph, Ints, Observation
-from cad_env.world.state import World
+from cad_env.simulation.cloud_exchange import Sharing, exchange
+from cad_env.simulation.scene_step import FINAL_REWARDS, OUTCOME_BY_CODE, Board, LiveScene, play, verdict
+from cad_env.simulation.setup import Setup
+from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
+from cad_env.world.state import Truth, World
 
-SUCCESS, COLLISION, TIMEOUT = "success", "collision", "timeout"
-OUTCOMES = (None, SUCCESS, COLLISION, TIMEOUT)  # by the numbers of `cad_env.simulation.scene_step`
-FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOMES, FINAL_REWARDS, strict=True)))
+FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_CODE, FINAL_REWARDS, strict=True)))
 REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
-
-
-@dataclass(frozen=True)
-class Setup:
-    """Everything about an environment that is not drawn from the seed."""
-
-    scenario: str = "left_turn"
-    ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
-    traffic: str = "light"  # none, light or dense: how much is on the road around the cast
-    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
-    sensor: SensorConfig = field(default_factory=SensorConfig)
-    radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
-    depth: int = FRAMES  # newest frames in a message
-    cloud: CloudConfig | None = None  # given: points are shared instead of graphs
-
-    def __post_init__(self) -> None:
-        check_range("depth", self.depth, 1, FRAMES)
-        if int(self.depth) != self.depth:
-            raise ValueError(f"depth must be a whole number, got {self.depth!r}")
-        if self.cloud is not None:
-            check_range("sensor range with clouds", self.sensor.range, 1.0, MAX_RANGE)
-        Traffic(self.traffic, self.penetration)
-        scenario_named(self.scenario).configured(dict(self.ranges))
-
-
-def setup_from(options: Mapping[str, Any]) -> Setup:
-    """A Setup from keyword arguments: radio by preset, record or dict, sensor and cloud by record or dict.
-
-    >>> setup_from({"radio": "cv2x"}).radio.budget
-    90000.0
-    >>> setup_from({"radoi": "cv2x"})
-    Traceback (most recent call last):
-    ...
-    ValueError: unknown option radoi='cv2x': choose among cloud, depth, penetration, radio, ranges, scenario, ...
-    """
-    check_names("option", dict(options), [f.name for f in fields(Setup)])
-    given = dict(options)
-    for name, kind in (("radio", RadioConfig), ("sensor", SensorConfig)):
-        if isinstance(given.get(name), Mapping):
-            check_names(f"{name} setting", dict(given[name]), [f.name for f in fields(kind)])
-            given[name] = kind(**given[name])
-    if "radio" in given:
-        given["radio"] = radio_config(given["radio"])
-    given["cloud"] = cloud_config(given.get("cloud"))
-    if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
-        raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
-    if "ranges" in given and not isinstance(given["ranges"], Mapping):
-        raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
-    return Setup(**given)
 
 
 class Simulation:
@@ -164,7 +112,7 @@ class Simulation:
 
     def outcome(self) -> str | None:
         """success, collision, timeout, or None while the episode of the ego goes on."""
-        return OUTCOMES[self._live.told.outcome.item()]
+        return OUTCOME_BY_CODE[self._live.told.outcome.item()]
 
     def reward(self) -> float:
         """Of the ego in the newest step: the share of its way that it covered, +1 on arrival, -1 on a collision."""
@@ -191,7 +139,7 @@ class Simulation:
     def info(self) -> dict[str, Any]:
         """What info says of the newest step, for the ego: plain numbers. `Ensemble.infos` says the same of many."""
         told = self._live.told
-        outcome = OUTCOMES[told.outcome.item()]
+        outcome = OUTCOME_BY_CODE[told.outcome.item()]
         return {
             **self.episode_info(),
             "speed": told.speed.item(),
@@ -239,7 +187,7 @@ class Simulation:
 
 def outcome_of(struck: bool, arrived: bool, over: bool) -> str | None:
     """How it ended for a vehicle, or None while it goes on: struck or not, at its goal or not, its time up or not."""
-    return OUTCOMES[verdict(struck, arrived, over)]
+    return OUTCOME_BY_CODE[verdict(struck, arrived, over)]
 
 
 def _at(stack: Any, index: int) -> Any:

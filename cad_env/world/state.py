@@ -1,5 +1,6 @@
 """The state of the world as arrays, one row a vehicle, and the map as sampled routes."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -80,3 +81,12 @@ def empty_world(count: int) -> World:
 def crashed(world: World) -> Bools:
     """(N,) True for every vehicle that has touched another."""
     return world.struck >= 0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a privileged policy is given: the world itself, and which row it drives."""
+
+    world: World
+    routes: Routes
+    row: int

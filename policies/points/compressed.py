@@ -23,7 +23,6 @@ from cad_env.pipeline.radio import REACHES
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Floats, Ints, Observation
 from policies.points import feature_codec
-from policies.points.driving import CloudDriver
 from policies.points.frames import CloudFrames, Seen, record_of, seen
 from policies.points.layers import (
     POSITION_SCALE,
@@ -37,6 +36,7 @@ from policies.points.layers import (
     most,
 )
 from policies.stgraph.network import Linear
+from policies.threshold_policy import CloudDriver
 
 VOXEL = 4.0  # m
 VEHICLES = 5  # whose keypoints the receiver has room for: its own and those of four others

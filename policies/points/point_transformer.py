@@ -18,9 +18,9 @@ from cad_env.lidar.config import CloudConfig
 from cad_env.lidar.points import RawPoints
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Ints, Observation
-from policies.points.driving import CloudDriver
 from policies.points.frames import CloudFrames, Seen, record_of, seen
 from policies.points.layers import Backbone, check_sizes, cloud_of, decision, in_order, mean, most
+from policies.threshold_policy import CloudDriver
 
 _SIZES = {"merged": 65_536, "neighbours": 64, "width": 256, "levels": 5, "mlp_width": 1024}
 

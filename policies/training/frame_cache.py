@@ -19,7 +19,7 @@ from torch import nn
 
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.simulation.simulation import Setup
+from cad_env.simulation.setup import Setup
 from policies.spec import Family, Frames
 from policies.training.demonstrations import Recording, replay, scenes_of
 

@@ -14,7 +14,7 @@ from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.graph import nodes_and_edges
 from cad_env.pipeline.graph_arrays import as_graph, empty_rows, row_of, slide
 from cad_env.pipeline.sense import detect
-from cad_env.simulation.simulation import Setup, setup_from
+from cad_env.simulation.setup import Setup, setup_from
 from cad_env.types import BRAKE, FRAMES, GO, ROWS, STEP, Command, Graph, Message, Policy
 
 RANGES = [

@@ -12,7 +12,7 @@ from cad_env.scenarios import SCENARIOS
 from cad_env.types import GO
 from docs.draw_pictures import main, tells, write_drawing
 
-IMAGES = Path(__file__).parents[1] / "docs" / "img"
+IMAGES = Path(__file__).parents[2] / "docs" / "img"
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from goldens.compute import HERE, goldens, processor, stored
+from tests.goldens.compute import HERE, goldens, processor, stored
 
 KNOWN = json.loads(stored().read_text()) if stored().exists() else {}
 of_this_processor = pytest.mark.skipif(

@@ -12,7 +12,8 @@ from highway_env.road.road import RoadNetwork
 from cad_env.envs.single import CADEnv
 from cad_env.scenarios.routes import RoutePlan, sample_routes
 from cad_env.scenarios.scene import Placement, Scene, place
-from cad_env.simulation.simulation import Simulation, setup_from
+from cad_env.simulation.setup import setup_from
+from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, CAR, GO, Command
 from cad_env.world.state import STANDING, Routes, World, empty_world
 from cad_env.world.step import advance

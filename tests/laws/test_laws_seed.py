@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import Steady, Twitchy, digest, started, steps
-from test_laws import EVERYWHERE, seeds
 
 from cad_env.config import RadioConfig
 from cad_env.envs.single import CADEnv
@@ -20,6 +20,7 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import Episode, rollout, rollouts
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, GO
+from tests.laws.test_laws import EVERYWHERE, seeds
 
 # --- 7. Named streams ------------------------------------------------------------------------------------------
 
@@ -79,7 +80,7 @@ def test_law_9_the_same_seed_gives_the_same_episode_twice(where: dict, seed: int
 def test_law_9_a_fresh_process_gives_the_same_episode():
     program = "import json, scenes; print(json.dumps([scenes.digest(seed) for seed in (1, 2)]))"
     env = {**os.environ, "PYTHONHASHSEED": "77"}
-    here = Path(__file__).parent
+    here = Path(scenes.__file__).parent
     answer = subprocess.run(
         [sys.executable, "-c", program], cwd=here, env=env, capture_output=True, text=True, check=True
     )

@@ -8,12 +8,13 @@ import numpy as np
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scenes import started, steps
-from test_laws import EVERYWHERE, differences, seeds
 
 from cad_env.scenarios.scene import HIDDEN
-from cad_env.simulation.simulation import Simulation, setup_from
+from cad_env.simulation.setup import setup_from
+from cad_env.simulation.simulation import Simulation
 from cad_env.types import FRAMES, TRUCK
 from cad_env.world.state import OFF, SCRIPTED
+from tests.laws.test_laws import EVERYWHERE, differences, seeds
 
 # --- 6. The world has no preferred place or direction ----------------------------------------------------------
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
-from test_stgraph import VARIANTS, observations
 
 from policies.stgraph.network import StGraphNet
 from policies.threshold_policy import LearnedPolicy
+from tests.policies.stgraph.test_stgraph import VARIANTS, observations
 
 torch.set_num_threads(1)
 

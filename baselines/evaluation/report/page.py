@@ -8,7 +8,8 @@ from typing import Any
 
 from baselines.evaluation.report.plots import Plot
 from baselines.methods import CONTENDERS
-from cad_env.scoring.scorecard import TITLES, Scorecard, cells_of
+from cad_env.scoring.scorecard import Scorecard
+from cad_env.scoring.table import TITLES, cells_of
 
 SAID_ELSEWHERE = ("scenario", "contender", "command", "episodes", "first_seed")
 UNITS = {"sensor_noise": "m", "gnss_noise": "m", "delay": "s", "range": "m", "depth": "frames"}

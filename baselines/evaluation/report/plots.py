@@ -16,7 +16,8 @@ from baselines.evaluation.report.figures import (  # fmt: skip
     panels,
     styled,
 )
-from cad_env.scoring.scorecard import Record, Scorecard, wilson
+from cad_env.scoring.interval import wilson
+from cad_env.scoring.scorecard import Record, Scorecard
 
 BINS = 6  # of the hazard timing
 Floats = np.ndarray[Any, np.dtype[np.float64]]

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.types import Floats, Ints
-from policies.stgraph.compiled.attention import Edges, Layer, LayerWeights, exchange, multiply
-from policies.stgraph.compiled.backward import unexchange
+from policies.stgraph.compiled.attention import Edges, Layer, LayerWeights, exchange, multiply, unexchange
 from policies.stgraph.compiled.edges import SPATIAL, TEMPORAL, Nodes, Singles, scene
 from policies.stgraph.compiled.relation_weights import Judged, Matter, judge, unjudge
 from policies.stgraph.config import StGraphConfig

@@ -11,15 +11,16 @@ from typing import Any
 
 import pytest
 import torch
-from test_evaluate import SOME, Refused, files, run
 
 import evaluate
+from baselines import cli
 from baselines.evaluation.run import identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import Store, read_records
 from cad_env.scenarios import SCENARIOS
 from policies.model_folder import SavedModel, save_model
 from policies.stgraph.network import StGraphNet
+from tests.baselines.evaluation.test_run import SOME, Refused, files, run
 
 torch.set_num_threads(1)
 
@@ -56,7 +57,7 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
     )
     words = shlex.split(asked.command())
     assert words[:2] == ["python", "evaluate.py"]
-    assert evaluate.parsed(Settings, words[2:]) == replace(asked, jobs=1, shard=None)
+    assert cli.parsed(Settings, words[2:]) == replace(asked, jobs=1, shard=None)
 
 
 @pytest.mark.parametrize(
@@ -106,8 +107,8 @@ def test_bad_input_is_refused_in_one_line(arguments: list[str], reason: str, ref
     ids=["frame", "plain"],
 )
 def test_the_command_lines_own_message_becomes_one_line(box: str) -> None:
-    assert evaluate._first_part(box, "Settings") == "Error parsing --n: no number"
-    assert evaluate._first_part(box.replace("parsing ", "parsing Settings: "), "Settings") == "--n: no number"
+    assert cli._first_part(box, "Settings") == "Error parsing --n: no number"
+    assert cli._first_part(box.replace("parsing ", "parsing Settings: "), "Settings") == "--n: no number"
 
 
 def test_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 import evaluate
 from baselines.evaluation.grid import grid
-from baselines.evaluation.merging import Merging, merged
+from baselines.evaluation.store import Merging, merged
 from cad_env.scoring.scorecard import parse_record
 
 SOME = ["--scenario", "left_turn", "--contender", "always-go", "planner-own", "--episodes", "30"]

@@ -18,7 +18,8 @@ from baselines.evaluation.report import write_report
 from baselines.evaluation.report.plots import all_plots
 from baselines.evaluation.store import gif_of
 from baselines.methods import CONTENDERS, SHIPPED
-from cad_env.scoring.scorecard import Record, cells_of, scorecards
+from cad_env.scoring.scorecard import Record, scorecards
+from cad_env.scoring.table import cells_of
 
 SCENES = ("left_turn", 'a <b> & "c"')
 SETTINGS = {

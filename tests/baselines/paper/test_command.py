@@ -9,19 +9,19 @@ from typing import Any
 import pytest
 import torch
 
-import reproduce
+from baselines.cli import parsed
 from baselines.evaluation.grid import Task as Episodes
 from baselines.evaluation.run import drive, identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import difference, read_records
 from baselines.learned import ROWS
+from baselines.paper import command as reproduce
 from baselines.paper.gathering import commands, gather
 from baselines.paper.presets import PRESETS, Preset
 from baselines.paper.report import write
 from baselines.paper.tasks import Plan, Task, in_table, measuring, perform, scoring, training, units, work_of
 from baselines.workers import heard
 from cad_env.scoring.scorecard import Record
-from evaluate import parsed
 
 torch.set_num_threads(1)
 

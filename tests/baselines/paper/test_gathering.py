@@ -5,16 +5,16 @@ from pathlib import Path
 
 import pytest
 
-import reproduce
+from baselines.cli import parsed
 from baselines.evaluation.run import completed, identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import EPISODES, Store, difference, read_settings
 from baselines.methods import MODEL_FILES, contender_named
+from baselines.paper import command as reproduce
 from baselines.paper.folder import read_run
 from baselines.paper.gathering import gather
 from baselines.paper.tasks import Plan, measuring, scoring, table_of, units
 from cad_env.scoring.scorecard import Record
-from evaluate import parsed
 
 
 @pytest.fixture

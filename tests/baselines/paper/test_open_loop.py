@@ -12,7 +12,7 @@ from baselines.methods import contender_named
 from baselines.paper.open_loop import OpenEpisode, OpenLoop, at_threshold, measure, read_open_loop, write_open_loop
 from baselines.paper.open_metrics import average_precision, open_score, ranking, ratios
 from cad_env.envs.single import CADEnv
-from cad_env.rules.planner import Expert
+from cad_env.rules.expert import Expert
 from cad_env.scoring.rollout import rollout
 
 SEEDS = range(800_000, 800_003)

@@ -17,9 +17,9 @@ from baselines.paper.folder import read_run
 from baselines.paper.open_loop import environment_of
 from baselines.paper.published import SCENES, TABLE_2, TABLE_3
 from baselines.paper.report import found_in, write
-from baselines.paper.statistics import wilson_estimate
 from baselines.paper.sweeps import SWEEPS, points
 from cad_env.envs.single import CADEnv
+from cad_env.scoring.interval import wilson_estimate
 from cad_env.scoring.rollout import rollout
 from cad_env.scoring.scorecard import Record
 from cad_env.types import BRAKE, GO

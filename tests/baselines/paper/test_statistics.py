@@ -13,9 +13,11 @@ from baselines.paper.statistics import (
     mean_estimate,
     percentile_estimates,
     resampled_sums,
-    wilson_estimate,
-)  # fmt: skip
-from cad_env.scoring.scorecard import wilson
+)
+from cad_env.scoring.interval import (
+    wilson,
+    wilson_estimate,  # fmt: skip
+)
 from cad_env.types import Bools
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-import train
 from baselines.evaluation.run import opened
 from baselines.evaluation.training_seeds import runs_of
 from baselines.methods import shipped_models
+from baselines.training import command as train
 from cad_env.scenarios import SCENARIOS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 TINY = ["--episodes", "6", "--corrections", "0", "--steps", "9", "--validation", "2", "--score", "2"]
 
 

@@ -6,7 +6,7 @@ from scenes import Twitchy
 
 from cad_env.envs.parallel import CADParallelEnv, parallel_env
 from cad_env.envs.single import CADEnv
-from cad_env.rules.planner import Expert
+from cad_env.rules.expert import Expert
 from cad_env.scenarios import SCENARIOS
 from cad_env.scenarios.scenario import Scenario
 from cad_env.types import BRAKE, GO

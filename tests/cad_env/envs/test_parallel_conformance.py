@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, state_test
 from pettingzoo.utils import parallel_to_aec
-from test_parallel import drive, same
 
 import cad_env
 from cad_env.envs.fixed_agents import FixedAgents
@@ -18,6 +17,7 @@ from cad_env.envs.parallel import parallel_env
 from cad_env.envs.single import CADEnv
 from cad_env.types import GO
 from cad_env.world.state import OFF
+from tests.cad_env.envs.test_parallel import drive, same
 
 ID = "CADLeftTurn-v0"
 

@@ -10,7 +10,7 @@ from scenes import Steady, Twitchy
 
 from cad_env import RadioConfig
 from cad_env.envs.single import CADEnv
-from cad_env.rules.planner import Expert
+from cad_env.rules.expert import Expert
 from cad_env.scoring.rollout import rollout
 from cad_env.types import BRAKE, GO
 

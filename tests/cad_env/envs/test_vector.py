@@ -18,7 +18,8 @@ from scenes import Twitchy
 
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.rules.planner import Expert, Planner
+from cad_env.rules.expert import Expert
+from cad_env.rules.planner import Planner
 from cad_env.scenarios import SCENARIOS
 from cad_env.scoring.rollout import Episode, rollout, rollouts
 from cad_env.simulation.scene_step import scene_at

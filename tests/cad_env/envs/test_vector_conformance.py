@@ -10,12 +10,12 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
-from test_vector import same, twitch
 
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import SCENARIOS
 from cad_env.types import GO
+from tests.cad_env.envs.test_vector import same, twitch
 
 IDS = [scenario.gym_id for scenario in SCENARIOS.values()]
 ID = IDS[0]

@@ -11,7 +11,7 @@ from cad_env.lidar.config import CloudConfig
 from cad_env.lidar.points import KEPT, RawPoints, Reads, thinned
 from cad_env.simulation import cloud_exchange as sharing
 from cad_env.simulation.batch import Ensemble
-from cad_env.simulation.simulation import setup_from
+from cad_env.simulation.setup import setup_from
 
 RAYS = {"azimuths": 128, "beams": 16}
 

@@ -8,10 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scenes import Twitchy, digest, started, steps, whole_episode
-from test_laws import differences
-from test_laws_seed import facts
-from test_laws_world import hidden_rows, two_worlds
-from test_vector import driven, same, twitch
 
 from cad_env.config import RadioConfig
 from cad_env.envs.single import CADEnv
@@ -24,6 +20,10 @@ from cad_env.scenarios import SCENARIOS
 from cad_env.scoring.rollout import rollout, rollouts
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import GO
+from tests.cad_env.envs.test_vector import driven, same, twitch
+from tests.laws.test_laws import differences
+from tests.laws.test_laws_seed import facts
+from tests.laws.test_laws_world import hidden_rows, two_worlds
 
 CLOUD = {"azimuths": 128, "beams": 4, "merged": 200}
 EVERYWHERE = pytest.mark.parametrize("scenario", list(SCENARIOS))

@@ -11,7 +11,7 @@ from cad_env.envs.single import CADEnv
 from cad_env.lidar.config import CloudConfig
 from cad_env.pipeline.observe import HORIZON
 from cad_env.simulation.batch import Ensemble
-from cad_env.simulation.simulation import Setup, setup_from
+from cad_env.simulation.setup import Setup, setup_from
 from cad_env.types import GO
 
 CLOUD = {"azimuths": 128, "beams": 4, "merged": 200}

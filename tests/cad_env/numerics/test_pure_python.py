@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import scenes
 from scenes import whole_episode
 
 STEPS = 14
@@ -25,7 +26,7 @@ def test_plain_python_lives_through_the_same_episode(tmp_path: Path):
     where = tmp_path / "plain.npz"
     subprocess.run(
         [sys.executable, "-W", "error", "-c", PROGRAM.format(steps=STEPS, cloud=CLOUD), str(where)],
-        cwd=Path(__file__).parent, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True,
+        cwd=Path(scenes.__file__).parent, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True,
     )  # fmt: skip
     plain = np.load(where)
     compiled, rest = whole_episode(2, STEPS, radio={"delay": 0.1}, sensor={"gnss_noise": 0.3})

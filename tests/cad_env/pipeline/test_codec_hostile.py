@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_codec import GOLDEN, golden_graph, scene
 
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.codec import (
@@ -29,6 +28,7 @@ from cad_env.pipeline.codec import (
 from cad_env.pipeline.graph_arrays import empty_rows
 from cad_env.pipeline.varint import LONG_VARINT, OUTSIDE, TRUNCATED, crc32
 from cad_env.types import FRAMES, Bytes, Rows
+from tests.cad_env.pipeline.test_codec import GOLDEN, golden_graph, scene
 
 
 def with_crc(body: bytes) -> bytes:

@@ -267,7 +267,7 @@ def test_a_window_shows_the_same_picture():
     code = """
 import numpy as np, pygame
 from cad_env.envs.single import CADEnv
-from cad_env.drawing.viewer import picture
+from cad_env.rendering.viewer import picture
 env, unseen = CADEnv(render_mode="human"), CADEnv()
 for each in (env, unseen):
     each.reset(seed=1)

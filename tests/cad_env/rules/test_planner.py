@@ -7,21 +7,13 @@ import pytest
 from scenes import ARM, EAST, NORTH, WEST, cross, world_of
 
 from cad_env.envs.single import CADEnv
+from cad_env.rules.expert import Expert
 from cad_env.rules.motion import fit_motion, lane_heading
-from cad_env.rules.planner import (
-    Expert,
-    Planner,
-    PlannerConfig,
-    Truth,
-    contact_ahead,
-    decide,
-    oncoming_stretch,
-    stopping_distance,
-)
+from cad_env.rules.planner import Planner, PlannerConfig, contact_ahead, decide, oncoming_stretch, stopping_distance
 from cad_env.scenarios.scene import Placement
 from cad_env.scoring.rollout import rollout
 from cad_env.types import BRAKE, FRAMES, GO, ROUTE_SPACING, STEP
-from cad_env.world.state import SCRIPTED, STANDING
+from cad_env.world.state import SCRIPTED, STANDING, Truth
 
 AHEAD = np.stack([np.arange(60) * ROUTE_SPACING, np.zeros(60)], axis=-1)
 EGO = np.array([10.0, 10.0, 4.8, 1.9])  # speed, wanted speed, length, width

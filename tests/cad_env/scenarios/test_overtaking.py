@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import started, steps
 
-from cad_env.rules.planner import Expert
+from cad_env.rules.expert import Expert
 from cad_env.scenarios.overtaking import ASKED, LANE, LEAVE, OVERTAKING, RETURN, SWING, WEST
 from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER
 from cad_env.types import BRAKE, GO, Command

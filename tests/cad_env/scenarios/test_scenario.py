@@ -9,13 +9,15 @@ import pytest
 from scenes import Steady, started
 
 from cad_env.envs.single import CADEnv
-from cad_env.rules.planner import Expert, Planner
+from cad_env.rules.expert import Expert
+from cad_env.rules.planner import Planner
 from cad_env.scenarios import SCENARIOS, scenario_named
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.scenario import Scenario
 from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Scene, place
 from cad_env.scoring.rollout import rollout
-from cad_env.simulation.simulation import Simulation, setup_from
+from cad_env.simulation.setup import setup_from
+from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, GO, TRUCK
 from cad_env.world.state import OFF, SCRIPTED, STANDING
 from cad_env.world.step import advance, note_contacts

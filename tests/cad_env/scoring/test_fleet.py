@@ -8,11 +8,11 @@ import pytest
 from scenes import Steady, Twitchy
 
 from cad_env.envs.parallel import CADParallelEnv, parallel_env
-from cad_env.rules.planner import Expert, Planner
+from cad_env.rules.expert import Expert
+from cad_env.rules.planner import Planner
 from cad_env.scenarios import SCENARIOS
-from cad_env.scoring.fleet import AgentEpisode, FleetEpisode, rollout_fleet
-from cad_env.scoring.fleet_score import Share, clustered, fleet_scores, fleet_table
-from cad_env.scoring.scorecard import wilson
+from cad_env.scoring.fleet import AgentEpisode, FleetEpisode, fleet_scores, fleet_table, rollout_fleet
+from cad_env.scoring.interval import Share, clustered, wilson
 from cad_env.types import BRAKE, GO
 
 

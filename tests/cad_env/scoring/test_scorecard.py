@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from cad_env.scoring.scorecard import OUTCOMES, Record, parse_record, scorecards, table, wilson
+from cad_env.scoring.interval import wilson
+from cad_env.scoring.scorecard import OUTCOMES, Record, parse_record, scorecards
+from cad_env.scoring.table import table
 
 CALM = Record("left_turn", "expert", 1, False, "success", 10.0, 0, 200.0, 300, 10, 1, 2000, None, None, 4, 0.0)
 CRASH = replace(CALM, seed=2, hazard=True, outcome="collision", time=5.0, brakes=3, min_ttc=0.1, hazard_timing=-0.2)

@@ -7,7 +7,6 @@ import numba
 import numpy as np
 import pytest
 import torch
-from test_stgraph import PAPER, VARIANTS, network, observations, tensors
 from torch.nn.functional import cross_entropy
 
 import cad_env
@@ -25,6 +24,7 @@ from policies.stgraph.spec import FAMILY
 from policies.threshold_policy import LearnedPolicy
 from policies.training.cloning import Recipe, fit
 from policies.training.demonstrations import joined, record, replay
+from tests.policies.stgraph.test_stgraph import PAPER, VARIANTS, network, observations, tensors
 
 torch.set_num_threads(1)
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="plain Python takes the dense way")

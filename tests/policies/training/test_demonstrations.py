@@ -10,7 +10,7 @@ import pytest
 
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.rules.planner import Expert
+from cad_env.rules.expert import Expert
 from cad_env.types import BRAKE, Observation
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.spec import FAMILY

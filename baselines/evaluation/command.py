@@ -1,0 +1,107 @@
+"""TODO."""
+
+import sys
+from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from baselines.cli import parsed, refused, stopped
+from baselines.evaluation.settings import Settings
+
+if TYPE_CHECKING:
+    from baselines.evaluation.store import Store
+    from cad_env.scoring.scorecard import Scorecard
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    words = sys.argv[1:] if argv is None else argv
+    try:
+        if any(word.split("=")[0] == "--merge" for word in words):
+            return put_together(words)
+        settings = parsed(Settings, words)
+    except (ValueError, OSError) as error:
+        return refused(error)
+    except KeyboardInterrupt as error:
+        return stopped(error)
+    return scored(settings)
+
+
+def put_together(words: Sequence[str]) -> int:
+    """Merge shards and print the table; ValueError or OSError, one line, for what cannot be merged."""
+    from baselines.evaluation.store import Merging, merged  # here, so that --help is quick
+
+    merging = parsed(Merging, words)
+    show(merged(merging), merging.out)
+    if merging.report:
+        report(merging.out)
+    return 0
+
+
+def scored(settings: Settings) -> int:
+    """Score, print the table, and return the exit code; whatever stops it becomes one line on standard error."""
+    if len(settings.policy) > 1:
+        return scored_by_seed(settings)
+    try:
+        from baselines.evaluation.run import completed, opened  # here, so that --help is quick
+
+        store = opened(settings)
+    except (ValueError, OSError) as error:
+        return refused(error)
+    except KeyboardInterrupt as error:
+        return stopped(error)
+    try:
+        rows = completed(settings, store)
+        if settings.shard is None:
+            show(rows, settings.folder())
+            explain(store, settings)
+        else:
+            print(f"Shard {settings.shard} is in {settings.folder()}. Put all together with python evaluate.py --merge")
+    except (ValueError, OSError) as error:
+        return refused(error)
+    except (KeyboardInterrupt, BrokenExecutor) as error:
+        total = sum(len(task.seeds) for task in settings.tasks())
+        return stopped(error, f" after {len(store.records)} of {total} episodes")
+    return 0
+
+
+def scored_by_seed(settings: Settings) -> int:
+    """The same for models of several training seeds: a run for each, then one table of all."""
+    from baselines.evaluation.run import score
+    from baselines.evaluation.training_seeds import runs_of, spread_table, spreads
+
+    runs = runs_of(settings)
+    for run in runs.values():
+        if code := scored(run):
+            return code
+    if settings.shard is None:
+        print(spread_table(spreads([score(run) for run in runs.values()])))
+        print(f"Each training seed has a folder of its own in {settings.out}.")
+    return 0
+
+
+def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
+    """Print the table."""
+    from cad_env.scoring.table import table
+
+    print(table(rows))
+    print(f"The episodes and the scores are in {folder}.")
+
+
+def explain(store: "Store", settings: Settings) -> None:
+    """Write what helps to understand the scores: animations of episodes, and the report."""
+    if settings.gif:
+        from baselines.evaluation.gifs import write_gifs  # here, because only this draws
+        from baselines.evaluation.store import GIFS
+
+        write_gifs(settings, store.records.values(), settings.folder() / GIFS, settings.gif)
+    if settings.report:
+        report(settings.folder())
+
+
+def report(folder: Path) -> None:
+    """Write the report."""
+    from baselines.evaluation.report import write_report  # here, because only this needs matplotlib
+
+    print(f"The tables and plots to read: {write_report(folder)}")

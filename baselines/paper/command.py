@@ -1,0 +1,201 @@
+"""TODO."""
+
+import json
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from baselines.cli import BAR, parsed, refused, stopped
+from baselines.paper.presets import PRESETS
+from cad_env.config import check_range
+
+NOTE, FAILURES = "reproduce.json", "failures.txt"
+
+
+Failure = tuple[str, str]  # what failed, and its whole story, which begins with a line that says why
+
+
+@dataclass(frozen=True)
+class ReproduceSettings:
+    """Train and score every row of the paper's tables, and write results.md, results.json and plots."""
+
+    preset: str = "quick"  # quick, hour or full: how many seeds, steps and episodes (baselines/paper/presets.py)
+    out: Path = Path("runs/paper")  # folder of everything
+    jobs: int = 2  # processes
+    shard: str | None = None  # i/n: only the i-th of n parts; the last step is a run without it, or with --merge
+    merge: bool = False  # nothing but the tables of what is finished
+    row: tuple[str, ...] = ()  # only these contenders; default: all of the tables
+
+    def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+        check_range("jobs", self.jobs, 1, 64)
+        if self.shard and self.merge:
+            raise ValueError("merge is of all shards: leave out --shard")
+
+    def command(self) -> str:
+        """What makes the whole run."""
+        return f"python reproduce.py --preset {self.preset} --out {self.out}"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    try:
+        settings = parsed(ReproduceSettings, argv)
+        plan = plan_of(settings)
+        claim(plan)
+        failures = [] if settings.merge else run(plan, settings.jobs, settings.shard)
+        if settings.shard is None:
+            put_together(plan, settings.command())
+    except (ValueError, OSError) as error:
+        return refused(error)
+    except (KeyboardInterrupt, BrokenExecutor) as error:
+        return stopped(error)
+    return 1 if failures else 0
+
+
+def plan_of(settings: ReproduceSettings) -> Any:
+    """What to do; ValueError for rows or shards that do not exist."""
+    from baselines.evaluation.grid import shard_of
+    from baselines.paper.tasks import Plan, in_table
+    from cad_env.scenarios import SCENARIOS
+
+    if settings.shard is not None:
+        shard_of(settings.shard)
+    if unknown := [name for name in settings.row if name not in in_table()]:
+        raise ValueError(f"unknown row {unknown[0]!r}: choose among {', '.join(in_table())}")
+    rows = tuple(name for name in in_table() if not settings.row or name in settings.row)
+    return Plan(settings.out, PRESETS[settings.preset], tuple(SCENARIOS), rows)
+
+
+def claim(plan: Any) -> None:
+    """Note in the folder what it is for; ValueError if it holds a run of another preset or version of the scenes."""
+    from baselines.evaluation.store import difference
+    from cad_env.files import replace_file
+    from cad_env.numerics.jit import version
+
+    wanted = json.loads(json.dumps({**asdict(plan.preset), "version of cad_env": version()}))
+    path = plan.out / NOTE
+    if path.exists():
+        try:
+            found = json.loads(path.read_text())
+        except ValueError:
+            raise ValueError(f"{path} is damaged: use another folder or delete that one") from None
+        if change := difference(found, wanted):
+            raise ValueError(f"{plan.out} holds a run with {change}: use another --out or delete it")
+        return
+    plan.out.mkdir(parents=True, exist_ok=True)
+    replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
+
+
+def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
+    """Record, then train and measure, a training seed after the other, and sweep; with one progress bar.
+
+    What failed comes back. It is said and, with its traceback, written down after every stage, so that a run that is
+    interrupted has told it. A run that is stopped has whole seeds to show.
+    """
+    from tqdm import tqdm
+
+    from baselines.evaluation.grid import shard_of
+    from baselines.paper import tasks as of
+
+    mine = of.units(plan, shard)
+    stages: list[tuple[str, list[Any]]] = []
+    sweeps: list[Any] = []
+    for seed in plan.preset.seeds:
+        units = [unit for unit in mine if unit[1] == seed]
+        measured = [task for unit in units for task in of.measuring(plan, unit)]
+        stages += [
+            (f"train, seed {seed}", [task for unit in units for task in of.training(plan, unit)]),
+            (f"measure, seed {seed}", [task for task in measured if task.stage != "sweep"]),
+        ]
+        sweeps += [task for task in measured if task.stage == "sweep"]
+    stages.append(("sweep", sweeps))
+    recording = float(plan.preset.episodes * len(plan.scenarios))
+    total = recording + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
+    notes = plan.out / (FAILURES if shard is None else "failures_{}_of_{}.txt".format(*shard_of(shard)))
+    with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
+        found = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
+        failures = [(f"record {scenario}", story) for scenario, story in found]
+        _note(notes, failures, failures)
+        for name, tasks in stages if not failures else ():
+            bar.set_description(name)
+            found = _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
+            failures += found
+            _note(notes, failures, found)
+    return failures
+
+
+def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:
+    """Those whose contender was not lost in training."""
+    lost = {what for what, _ in failures}
+    return [task for task in tasks if f"train {task.row} seed {task.seed}" not in lost]
+
+
+def _note(path: Path, failures: Sequence[Failure], new: Sequence[Failure]) -> None:
+    """Keep the whole story of what has failed so far, and say in a line each what has failed now."""
+    from tqdm import tqdm
+
+    path.unlink(missing_ok=True)
+    if failures:
+        path.write_text("\n\n".join(f"{what}\n{story}" for what, story in failures) + "\n")
+    for what, story in new:
+        tqdm.write(f"failed: {what}: {_reason(story)}", file=sys.stderr)
+
+
+def _reason(story: str) -> str:
+    return story.splitlines()[0]
+
+
+def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) -> list[Failure]:
+    """Do all tasks, side by side; those that failed, with the whole story."""
+    from baselines.workers import heard, workers
+
+    if not tasks:
+        return []
+    with workers(min(jobs, len(tasks))) as (pool, told):
+        running = {pool.submit(work, task): task for task in tasks}
+        while not all(future.done() for future in running):
+            bar.update(sum(heard(told)))
+        bar.update(sum(heard(told)))
+        return [(str(task), future.result()) for future, task in running.items() if future.result()]
+
+
+def _record(plan: Any, scenario: str) -> str:
+    from baselines.paper.tasks import RECORDING
+    from baselines.workers import tell
+    from policies.training.dagger import record_expert
+
+    return _attempt(lambda: record_expert(plan.out / RECORDING, scenario, plan.preset.episodes, tell))
+
+
+def _perform(plan: Any, task: Any) -> str:
+    from baselines.paper.tasks import perform
+    from baselines.workers import tell
+
+    return _attempt(lambda: perform(plan, task, tell))
+
+
+def _attempt(act: Callable[[], object]) -> str:
+    """What went wrong, in one line, and its traceback; or nothing."""
+    try:
+        act()
+    except Exception as error:  # a row that fails, however it does, must not stop the others
+        reason = " ".join(f"{type(error).__name__}: {error}".split())  # those of torch and numba have many lines
+        return f"{reason}\n{traceback.format_exc()}"
+    return ""
+
+
+def put_together(plan: Any, command: str) -> None:
+    """Tables and plots of all that is finished."""
+    from baselines.paper.gathering import gather
+    from baselines.paper.report import write
+
+    if lacking := gather(plan):
+        print(f"{lacking} parts are not finished: the tables are without them", file=sys.stderr)
+    print(f"The tables and plots: {write(plan.out, command)}")

@@ -1,0 +1,62 @@
+"""Scores as text: aligned columns, rates in per cent with their interval."""
+
+from collections.abc import Sequence
+
+from cad_env.scoring.scorecard import Scorecard
+
+TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
+           "time s", "needless brakes %", "bytes/message", "max")  # fmt: skip
+
+
+def text_table(titles: Sequence[str], rows: Sequence[Sequence[str]], names: int = 3) -> str:
+    """Rows under their titles and a rule; the first `names` columns are aligned to the left, numbers to the right.
+
+    >>> print(text_table(("method", "n"), [("expert", "5")], names=1))
+    method  n
+    ---------
+    expert  5
+    """
+    widths = [max(len(line[k]) for line in (titles, *rows)) for k in range(len(titles))]
+
+    def aligned(line: Sequence[str]) -> str:
+        cells = (
+            cell.ljust(w) if k < names else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
+        )
+        return "  ".join(cells).rstrip()
+
+    lines = [aligned(line) for line in (titles, *rows)]
+    return "\n".join([lines[0], "-" * max(map(len, lines)), *lines[1:]])
+
+
+def table(rows: Sequence[Scorecard]) -> str:
+    """The scorecards as text, a part for each scenario."""
+    cells = [cells_of(row) for row in rows]
+    head, rule, *lines = text_table(TITLES, cells).splitlines()
+    parts: dict[str, list[str]] = {}
+    for row, line in zip(rows, lines, strict=True):
+        parts.setdefault(row.scenario, [head, rule]).append(line)
+    return "\n\n".join("\n".join(part) for part in parts.values())
+
+
+def cells_of(row: Scorecard) -> tuple[str, ...]:
+    """A row of the table as text, under TITLES."""
+    return (
+        row.scenario, row.contender, row.hazard, str(row.episodes),
+        percent(row.collision_rate, row.collision_low, row.collision_high),
+        percent(row.success_rate, row.success_low, row.success_high),
+        str(row.timeouts), f"{row.mean_time:.1f}",
+        percent(row.needless_brakes, row.needless_low, row.needless_high),
+        "-" if row.bytes_per_message_mean is None else f"{row.bytes_per_message_mean:.0f}",
+        "-" if row.bytes_per_message_max is None else str(row.bytes_per_message_max),
+    )  # fmt: skip
+
+
+def percent(rate: float | None, low: float | None, high: float | None) -> str:
+    """A rate with its interval in per cent, a dash where there is none.
+
+    >>> percent(0.1, 0.0767, 0.1293)
+    '10.0 [ 7.7, 12.9]'
+    """
+    if rate is None or low is None or high is None:
+        return "-"
+    return f"{100 * rate:.1f} [{100 * low:4.1f},{100 * high:5.1f}]"

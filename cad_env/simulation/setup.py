@@ -1,0 +1,60 @@
+"""TODO."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
+from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
+from cad_env.scenarios import scenario_named
+from cad_env.scenarios.ranges import Traffic
+from cad_env.types import FRAMES
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything about an environment that is not drawn from the seed."""
+
+    scenario: str = "left_turn"
+    ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
+    traffic: str = "light"  # none, light or dense: how much is on the road around the cast
+    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
+    depth: int = FRAMES  # newest frames in a message
+    cloud: CloudConfig | None = None  # given: points are shared instead of graphs
+
+    def __post_init__(self) -> None:
+        check_range("depth", self.depth, 1, FRAMES)
+        if int(self.depth) != self.depth:
+            raise ValueError(f"depth must be a whole number, got {self.depth!r}")
+        if self.cloud is not None:
+            check_range("sensor range with clouds", self.sensor.range, 1.0, MAX_RANGE)
+        Traffic(self.traffic, self.penetration)
+        scenario_named(self.scenario).configured(dict(self.ranges))
+
+
+def setup_from(options: Mapping[str, Any]) -> Setup:
+    """A Setup from keyword arguments: radio by preset, record or dict, sensor and cloud by record or dict.
+
+    >>> setup_from({"radio": "cv2x"}).radio.budget
+    90000.0
+    >>> setup_from({"radoi": "cv2x"})
+    Traceback (most recent call last):
+    ...
+    ValueError: unknown option radoi='cv2x': choose among cloud, depth, penetration, radio, ranges, scenario, ...
+    """
+    check_names("option", dict(options), [f.name for f in fields(Setup)])
+    given = dict(options)
+    for name, kind in (("radio", RadioConfig), ("sensor", SensorConfig)):
+        if isinstance(given.get(name), Mapping):
+            check_names(f"{name} setting", dict(given[name]), [f.name for f in fields(kind)])
+            given[name] = kind(**given[name])
+    if "radio" in given:
+        given["radio"] = radio_config(given["radio"])
+    given["cloud"] = cloud_config(given.get("cloud"))
+    if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
+        raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
+    if "ranges" in given and not isinstance(given["ranges"], Mapping):
+        raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
+    return Setup(**given)

@@ -41,7 +41,7 @@ bench:
 # The models that ship with the package: those of the main job, which know all scenarios, without data and checkpoints.
 weights:
 	$(RUN)/python train.py --score 0
-	for name in shared own; do \
+	for name in stgraph stgraph-own; do \
 	  mkdir -p policies/weights/all/$$name && \
 	  cp runs/all/$$name/model.safetensors runs/all/$$name/config.json policies/weights/all/$$name/; \
 	done

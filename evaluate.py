@@ -1,7 +1,7 @@
-"""Score contenders in closed loop, on the same seeds, and print the table with its intervals.
+"""Score methods in closed loop, on the same seeds, and print the table with its intervals.
 
-python evaluate.py --scenario left_turn --contender always-go expert stgraph --episodes 500 --jobs 2
-python evaluate.py --policy runs/all/seed_0 runs/all/seed_1 --contender expert stgraph     a run for each training seed
+python evaluate.py --scenario left_turn --method always-go expert stgraph --episodes 500 --jobs 2
+python evaluate.py --models runs/all/seed_0 runs/all/seed_1 --method expert stgraph     a run for each training seed
 python evaluate.py --merge results/shard_1_of_2 results/shard_2_of_2
 """
 

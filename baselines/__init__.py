@@ -1,1 +1,1 @@
-"""Whom to compare with: the contenders, and closed-loop scoring that survives an interruption."""
+"""Whom to compare with: the methods, and closed-loop scoring that survives an interruption."""

@@ -6,9 +6,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from baselines.learned import ROWS, Row
+from baselines.learned import LEARNED, LearnedMethod
 from cad_env.types import BRAKE, FRAMES, GO, Policy
-from policies.registry import family_named
 
 if TYPE_CHECKING:
     from policies.model_folder import SavedModel
@@ -33,7 +32,7 @@ class Always:
 
 
 @dataclass(frozen=True)
-class Contender:
+class Method:
     """One row of the results table."""
 
     name: str
@@ -68,45 +67,45 @@ def _expert(_: Path) -> Policy:
     return Expert()
 
 
-def _learned(row: Row) -> Contender:
+def _learned(row: LearnedMethod) -> Method:
     def load(models: Path) -> "SavedModel":
         folder = models / row.model
         if not folder.is_dir():
             raise ValueError(f"no trained model for {row.name}: there is no folder {folder}")
         from policies.model_folder import load_model  # here, because torch takes a second that the others need not wait
 
-        return load_model(folder, family_named)
+        return load_model(folder)
 
     def needs(models: Path) -> dict[str, Any]:
         return load(models).environment() if row.shares in ("points", "features") else {}
 
     knows = NOTHING if row.blind else SEEN if row.shares == "nothing" else SENT
-    return Contender(row.name, knows, lambda models: load(models).driver(), row.model, row.depth, needs)
+    return Method(row.name, knows, lambda models: load(models).policy(), row.model, row.depth, needs)
 
 
-CONTENDERS: Mapping[str, Contender] = MappingProxyType(
+METHODS: Mapping[str, Method] = MappingProxyType(
     {
-        contender.name: contender
-        for contender in (
-            Contender("always-go", NOTHING, lambda _: Always(GO)),
-            Contender("always-brake", NOTHING, lambda _: Always(BRAKE)),
-            Contender("planner-own", SEEN, _planner),
-            Contender("planner-shared", SENT, _planner),
-            Contender("expert", TRUTH, _expert),
-            *(_learned(row) for row in ROWS.values()),
-            Contender("cautious-own", SEEN, _cautious),
-            _learned(Row("ppo")),  # learns by reward, and not as the rows do
+        method.name: method
+        for method in (
+            Method("always-go", NOTHING, lambda _: Always(GO)),
+            Method("always-brake", NOTHING, lambda _: Always(BRAKE)),
+            Method("planner-own", SEEN, _planner),
+            Method("planner-shared", SENT, _planner),
+            Method("expert", TRUTH, _expert),
+            *(_learned(row) for row in LEARNED.values()),
+            Method("cautious-own", SEEN, _cautious),
+            _learned(LearnedMethod("ppo")),  # learns by reward, and not as the rows do
         )
     }
 )
 SHIPPED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
 
 
-def contender_named(name: str) -> Contender:
-    """The contender called `name`; ValueError that lists the choices otherwise."""
-    if name not in CONTENDERS:
-        raise ValueError(f"unknown contender {name!r}: choose among {', '.join(CONTENDERS)}")
-    return CONTENDERS[name]
+def method_named(name: str) -> Method:
+    """The method called `name`; ValueError that lists the choices otherwise."""
+    if name not in METHODS:
+        raise ValueError(f"unknown method {name!r}: choose among {', '.join(METHODS)}")
+    return METHODS[name]
 
 
 def shipped_models(scenario: str) -> Path:

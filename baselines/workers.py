@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
 from typing import Any
 
-_told: "Queue[Any] | None" = None  # in a worker: where `tell` puts what it is told
+_told: "Queue[Any] | None" = None  # in a worker: where `tell` puts what it is progress
 
 
 @contextmanager
@@ -24,13 +24,13 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
     prefer_one_thread()
     context = multiprocessing.get_context("spawn")
     lifeline, held = context.Pipe(duplex=False)
-    told: Queue[Any] = context.Queue()
-    pool = ProcessPoolExecutor(count, context, _start, (lifeline, told))
+    progress: Queue[Any] = context.Queue()
+    pool = ProcessPoolExecutor(count, context, _start, (lifeline, progress))
     try:
         with _interrupts_held():
             for _ in range(count):
                 pool.submit(int)  # nothing to do, but it starts a process
-        yield pool, told
+        yield pool, progress
     except BaseException:
         held.close()  # the workers stop at once, in the middle of a task
         raise
@@ -54,12 +54,12 @@ def tell(what: Any) -> None:
         _told.put(what)
 
 
-def heard(told: "Queue[Any]") -> list[Any]:
-    """What tasks have told since the last time; waits a tenth of a second for the first."""
+def heard(progress: "Queue[Any]") -> list[Any]:
+    """What tasks have progress since the last time; waits a tenth of a second for the first."""
     try:
-        found = [told.get(timeout=0.1)]
-        while not told.empty():
-            found.append(told.get())
+        found = [progress.get(timeout=0.1)]
+        while not progress.empty():
+            found.append(progress.get())
         return found
     except queue.Empty:
         return []
@@ -78,12 +78,12 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start(lifeline: Connection, told: "Queue[Any]") -> None:
+def _start(lifeline: Connection, progress: "Queue[Any]") -> None:
     global _told
-    _told = told
+    _told = progress
     # What nobody reads any more must not keep a worker from ending: its pipe is full after some hundred records. A
     # task returns all that counts; what it tells is for those who cannot wait for that.
-    told.cancel_join_thread()
+    progress.cancel_join_thread()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 

@@ -7,7 +7,7 @@ from cad_env.scenarios import scenario_named
 from cad_env.scenarios.junction import ARM, ARMS
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import HIDDEN, Placement, Scene
-from cad_env.simulation.batch import Ensemble
+from cad_env.simulation.batch import SceneBatch
 from cad_env.simulation.setup import setup_from
 from cad_env.world.state import STANDING
 
@@ -40,10 +40,10 @@ def _parked(number: int) -> Placement:
     return Placement(route, ARM - FIRST - SPACING * place, 0.0, 1.0, STANDING, offset=KERB)
 
 
-def crowds(scenes: int, vehicles: int, connected: int) -> Ensemble:
+def crowds(scenes: int, vehicles: int, connected: int) -> SceneBatch:
     """So many of them side by side, at the start of their episodes."""
-    ensemble = Ensemble([setup_from({})] * scenes)
-    for place, simulation in enumerate(ensemble.simulations):
+    batch = SceneBatch([setup_from({})] * scenes)
+    for place, simulation in enumerate(batch.simulations):
         simulation.scenario = Crowd(vehicles, connected)  # type: ignore[assignment]
-        ensemble.start(place, place, hazard=True)
-    return ensemble
+        batch.start(place, place, hazard=True)
+    return batch

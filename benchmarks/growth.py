@@ -32,12 +32,12 @@ def _median(measure: Callable[[], float]) -> float:
 
 
 def _crowded(vehicles: int, connected: int) -> float:
-    ensemble, everywhere = crowds(ABREAST, vehicles, connected), np.arange(ABREAST)
+    batch, everywhere = crowds(ABREAST, vehicles, connected), np.arange(ABREAST)
     go = np.zeros(ABREAST, np.int64)
-    ensemble.step(everywhere, go)
+    batch.step(everywhere, go)
     start = time.process_time()
     for _ in range(STEPS):
-        ensemble.step(everywhere, go)
+        batch.step(everywhere, go)
     return (time.process_time() - start) / STEPS / ABREAST * 1e6
 
 
@@ -57,7 +57,7 @@ def _vector(scenes: int) -> Callable[[], float]:
 
 
 def as_figures(curves: dict[str, Curve]) -> dict[str, list[float]]:
-    """Rows of the table."""
+    """GraphArrays of the table."""
     return {f"step with {n} {name} (us)": [cost] for name, curve in curves.items() for n, cost in curve.items()}
 
 

@@ -19,7 +19,7 @@ from cad_env.types import Floats
 from policies.points import compressed, point_transformer
 from policies.points.compressed import COMPRESSED, CompressedConfig, CompressedNet, LearnedFeatures
 from policies.points.point_transformer import POINT_TRANSFORMER, PointTransformerConfig, PointTransformerNet
-from policies.spec import Family
+from policies.spec import NetworkSpec
 
 RAYS = 1024 * 64
 Row = dict[str, str | int | float]
@@ -56,7 +56,7 @@ def _tensors(**parts: np.ndarray) -> dict[str, Tensor]:
     return {name: torch.from_numpy(part) for name, part in parts.items()}
 
 
-def _cost(family: Family, network: nn.Module, batch: dict[str, Tensor], repeats: int) -> tuple[float, float]:
+def _cost(family: NetworkSpec, network: nn.Module, batch: dict[str, Tensor], repeats: int) -> tuple[float, float]:
     """ms a sample: forward, and forward with backward."""
     count = len(batch["command"])
     label = torch.zeros(count, dtype=torch.long)

@@ -1,4 +1,4 @@
-"""What takes a process of its own: start-up, the memory of a thousand scenes, scoring and recording as users do it."""
+"""What takes a process of its own: start-up, the memory of a thousand scenes, scoring and demonstrations as users do it."""
 
 import os
 import subprocess
@@ -56,11 +56,11 @@ peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM
 print(int(peak.split()[1]) / 1024)
 """
 
-RECORDING = """
+DEMONSTRATIONS = """
 import sys, time
 from pathlib import Path
 from cad_env.vector import CADVectorEnv
-from policies.recording import record
+from policies.demonstrations import record
 record(Path(sys.argv[1]) / "warm", CADVectorEnv(1, radio="none"), None, range(1), lambda done: None)
 start = time.process_time()
 record(Path(sys.argv[1]) / "shards", CADVectorEnv(64, radio="none"), None, range(1000), lambda done: None)
@@ -78,12 +78,12 @@ def memory_figures() -> dict[str, list[float]]:
 def work_figures() -> dict[str, list[float]]:
     """Seconds that 1,000 recorded expert episodes and 500 scored episodes of the shipped network take."""
     with tempfile.TemporaryDirectory() as folder:
-        recording = float(_run(["-c", RECORDING, folder]).stdout)
+        demonstrations = float(_run(["-c", DEMONSTRATIONS, folder]).stdout)
         score = [
             "evaluate.py",
             "--scenario",
             "left_turn",
-            "--contender",
+            "--method",
             "stgraph",
             "--episodes",
             "500",
@@ -94,6 +94,6 @@ def work_figures() -> dict[str, list[float]]:
         ]
         scoring = _wall(lambda: _run(score))
     return {
-        "recording 1,000 expert episodes, CPU (s)": [recording],
+        "demonstrations 1,000 expert episodes, CPU (s)": [demonstrations],
         "evaluate.py, 500 episodes of stgraph, 2 processes, wall (s)": [scoring],
     }

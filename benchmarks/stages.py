@@ -14,7 +14,7 @@ from cad_env.pipeline.radio import send
 from cad_env.pipeline.sense import CENTRE_HEIGHT, fix_pose, outline, sense
 from cad_env.pipeline.step import SENSE, _rows_at, _tracks_at, deliver, fuse, show
 from cad_env.pipeline.track import confirmed, seen_now, update
-from cad_env.simulation.batch import Ensemble
+from cad_env.simulation.batch import SceneBatch
 from cad_env.simulation.scene_step import scene_at, tell
 from cad_env.simulation.setup import setup_from
 from cad_env.types import FRAMES, STEP
@@ -110,9 +110,9 @@ def _looped(stage: Callable[..., None]) -> Callable[..., None]:
     """The stage `calls` times in one compiled call, so that the way from Python is paid once."""
 
     @numba.njit
-    def loop(calls, shelf, place):
+    def loop(calls, records, place):
         for _ in range(calls):
-            stage(scene_at(shelf, place))
+            stage(scene_at(records, place))
 
     return loop
 
@@ -127,7 +127,7 @@ class Stages:
         }  # fmt: skip
         self._loops = {name: _looped(stage) for name, stage in stages.items()}
         for loop in self._loops.values():
-            loop(1, live_scenes(1).board.shelf, 0)
+            loop(1, live_scenes(1).batch_state.records, 0)
 
     def measured(self) -> dict[str, float]:
         """Microseconds of each stage in one step of four vehicles, the mean of several scenes and times in them."""
@@ -137,7 +137,7 @@ class Stages:
                 live = live_scenes(age)
                 for place in range(SCENES):
                     start = time.process_time()
-                    loop(CALLS, live.board.shelf, place)
+                    loop(CALLS, live.batch_state.records, place)
                     cost[name] += (time.process_time() - start) / CALLS / SCENES / len(AGES) * 1e6
         # Tracking changes what it is given, so it is timed on fresh detections and their cost is taken off.
         both, sensing = cost.pop("sense and track"), cost["sense"]
@@ -147,7 +147,7 @@ class Stages:
 
 def live_scenes(age: int) -> Any:
     """What the stages work on, so many decisions into their episodes."""
-    live = Ensemble([setup_from({"ranges": FOUR})] * SCENES)
+    live = SceneBatch([setup_from({"ranges": FOUR})] * SCENES)
     for place in range(SCENES):
         live.start(place, place)
     everywhere = np.arange(SCENES)

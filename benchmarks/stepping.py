@@ -86,10 +86,10 @@ def vector(env: Any, steps: int, first_seed: int) -> Measured:
 
 
 @numba.njit
-def _advance_all(shelf: Any, times: int) -> None:
+def _advance_all(records: Any, times: int) -> None:
     for _ in range(times):
         for place in range(SCENES):
-            scene = scene_at(shelf, place)
+            scene = scene_at(records, place)
             advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
 
 
@@ -106,7 +106,7 @@ class World:
             for place in range(SCENES):
                 self._ensemble.start(place, first_seed + result.resets + place, hazard=True)
             start = time.process_time()
-            _advance_all(self._ensemble.board.shelf, EPISODE)
+            _advance_all(self._ensemble.batch_state.records, EPISODE)
             result.stepping += time.process_time() - start
             result.resets, result.steps = result.resets + SCENES, result.steps + SCENES * EPISODE
             result.vehicles += sum(EPISODE * int((s.world.driver != OFF).sum()) for s in self._ensemble.simulations)

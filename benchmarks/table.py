@@ -19,7 +19,7 @@ BARS = {  # figure -> (least or most, bar)
     "training, fused, street_crossing (graphs/s)": ("least", 2_500.0),
     "training, fused over PyG twin": ("least", 4.0),
     "memory, 1,024 scenes (MB)": ("most", 1024.0),
-    "recording 1,000 expert episodes, CPU (s)": ("most", 30.0),
+    "demonstrations 1,000 expert episodes, CPU (s)": ("most", 30.0),
     "evaluate.py, 500 episodes of stgraph, 2 processes, wall (s)": ("most", 30.0),
 }
 

@@ -25,8 +25,8 @@ SUCCESS, COLLISION, TIMEOUT = OUTCOMES = ("success", "collision", "timeout")
 
 STEP = 0.1  # s, one decision
 FRAMES = 15  # frames in a graph window: 1.5 s at 10 Hz
-ROWS = 32  # tracks a vehicle can hold at once, its own body included
-MERGED_ROWS = 64  # tracks a merged graph can hold
+MAX_TRACKS = 32  # tracks a vehicle can hold at once, its own body included
+MAX_MERGED_TRACKS = 64  # tracks a merged graph can hold
 
 OBSERVED_TRACKS = 16  # the nearest tracks of the merged graph that an observation shows
 ROUTE_POINTS = 40  # points of its own route that an observation shows ...
@@ -44,10 +44,10 @@ class Command(IntEnum):
     CHANGE_RIGHT = 5
 
 
-class Rows(NamedTuple):
+class GraphArrays(NamedTuple):
     """A graph as the compiled stages see it: preallocated rows, of which the first `used[0]` are in use.
 
-    Rows beyond the count may hold anything. Column -1 of `position` and `mask` is the newest frame.
+    GraphArrays beyond the count may hold anything. Column -1 of `position` and `mask` is the newest frame.
     """
 
     used: Ints  # (1,) int64 rows in use

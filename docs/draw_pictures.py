@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 
+from cad_env.animation import filmed, side_by_side, write_gif
 from cad_env.envs.single import CADEnv
-from cad_env.rendering.animation import filmed, side_by_side, write_gif
 from cad_env.rendering.canvas import BLACK, WHITE, Canvas, Tag
 from cad_env.rendering.danger import danger, only_told
 from cad_env.rendering.framing import screen

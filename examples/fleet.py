@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import tyro
 from tqdm import tqdm
 
-from baselines.methods import contender_named, shipped_models
+from baselines.methods import method_named, shipped_models
 from cad_env.envs.parallel import CADParallelEnv
 from cad_env.scoring.fleet import FleetEpisode, fleet_scores, fleet_table, rollout_fleet
 
@@ -22,7 +22,7 @@ class Settings:
     """Score fleets in closed loop."""
 
     scenario: str = "left_turn"
-    contender: tuple[str, ...] = ("always-go", "planner-shared", "stgraph")
+    method: tuple[str, ...] = ("always-go", "planner-shared", "stgraph")
     """who drives every vehicle, by the names of evaluate.py"""
     episodes: int = 100
     first_seed: int = 1_000_000
@@ -33,11 +33,11 @@ class Settings:
 
 
 def driven(settings: Settings, name: str) -> list[FleetEpisode]:
-    """The episodes of one contender."""
-    contender = contender_named(name)
-    policy = contender.make_policy(shipped_models(settings.scenario))
+    """The episodes of one method."""
+    method = method_named(name)
+    policy = method.make_policy(shipped_models(settings.scenario))
     env = CADParallelEnv(
-        scenario=settings.scenario, radio="dsrc" if contender.shares else "none", traffic=settings.traffic,
+        scenario=settings.scenario, radio="dsrc" if method.shares else "none", traffic=settings.traffic,
         ranges={"collaborators": (settings.collaborators, settings.collaborators)},
     )  # fmt: skip
     seeds = range(settings.first_seed, settings.first_seed + settings.episodes)
@@ -46,7 +46,7 @@ def driven(settings: Settings, name: str) -> list[FleetEpisode]:
 
 def main(settings: Settings) -> str:
     """The table, printed."""
-    episodes = [episode for name in settings.contender for episode in driven(settings, name)]
+    episodes = [episode for name in settings.method for episode in driven(settings, name)]
     table = fleet_table(fleet_scores(episodes))
     print(table)
     return table

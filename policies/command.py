@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from cad_env.config import check_range
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Command, Floats, Ints, Observation
-from policies.threshold_policy import ThresholdDriver
+from policies.threshold_policy import ThresholdPolicy
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class CommandNet(nn.Module):
     def __init__(self, config: CommandConfig, seed: int) -> None:
         super().__init__()
         self.config = config
-        chance = torch.Generator().manual_seed(seed)
+        rng = torch.Generator().manual_seed(seed)
         self.decide = nn.Sequential(nn.Linear(len(Command), config.width), nn.ReLU(), nn.Linear(config.width, 2))
         with torch.no_grad():
             for weights in self.parameters():
                 bound = 1 / weights.shape[-1] ** 0.5
-                weights.uniform_(-bound, bound, generator=chance)
+                weights.uniform_(-bound, bound, generator=rng)
 
     def forward(self, command: Tensor) -> Tensor:
         """Logits (B, 2)."""
@@ -70,7 +70,7 @@ class CommandFrames:
         )
 
 
-class CommandDriver(ThresholdDriver):
+class CommandDriver(ThresholdPolicy):
     """Brakes for the commands of which the network is sure enough; the same alone and in any batch."""
 
     def __init__(self, network: nn.Module, threshold: float) -> None:
@@ -86,8 +86,8 @@ class CommandDriver(ThresholdDriver):
 
 
 @dataclass(frozen=True)
-class CommandFamily:
-    """`CommandNet` as a family."""
+class CommandSpec:
+    """`CommandNet` as a spec."""
 
     name: str = "command"
     config_type: type = CommandConfig
@@ -122,9 +122,9 @@ class CommandFamily:
         logits: Tensor = network(batch["command"])
         return logits
 
-    def driver(self, network: nn.Module, threshold: float) -> CommandDriver:
+    def policy(self, network: nn.Module, threshold: float) -> CommandDriver:
         """The network as it is now."""
         return CommandDriver(network, threshold)
 
 
-FAMILY = CommandFamily()
+SPEC = CommandSpec()

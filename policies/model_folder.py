@@ -1,12 +1,11 @@
 """A model on disk: `model.safetensors` and `config.json` in one folder, no pickle, nothing that can run code.
 
-`config.json` names the format, the family, the network's every knob, the brake threshold, the SHA-256 of the weights
-and whatever the training wants to remember. A folder that names no family holds the paper's network.
+`config.json` names the format, the spec, the network's every knob, the brake threshold, the SHA-256 of the weights
+and whatever the training wants to remember.
 """
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,12 @@ from torch import Tensor, nn
 
 from cad_env.config import check_range
 from cad_env.files import replace_file
-from policies.spec import Driver, Family
-from policies.stgraph.spec import FAMILY as STGRAPH
+from policies.registry import spec_named
+from policies.spec import LearnedPolicy, NetworkSpec
 
 FORMAT = 1
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
-_KEYS = {"format", "family", "network", "threshold", "sha256", "training"}
-
-Families = Callable[[str], Family]  # a family by its name; ValueError for one that it does not know
+_KEYS = {"format", "spec", "network", "threshold", "sha256", "training"}
 
 
 class ModelError(ValueError):
@@ -38,13 +35,6 @@ class ModelError(ValueError):
         return " ".join(f"{self.args[0]}: {self.args[1]}".split())
 
 
-def paper_only(name: str) -> Family:
-    """The families of this package: the paper's network and no other."""
-    if name != STGRAPH.name:
-        raise ValueError(f"unknown family {name!r}: only {STGRAPH.name} is known here")
-    return STGRAPH
-
-
 @dataclass(frozen=True)
 class SavedModel:
     """What a model folder holds."""
@@ -52,15 +42,15 @@ class SavedModel:
     network: nn.Module
     threshold: float  # brake when P(brake) reaches it
     training: dict[str, Any] = field(default_factory=dict)  # free-form, what JSON can hold
-    family: Family = STGRAPH
+    spec: NetworkSpec = field(default_factory=lambda: spec_named("stgraph"))
 
-    def driver(self) -> Driver:
+    def policy(self) -> LearnedPolicy:
         """The model as a policy."""
-        return self.family.driver(self.network, self.threshold)
+        return self.spec.policy(self.network, self.threshold)
 
     def environment(self) -> dict[str, Any]:
         """The options of the environment that it needs, beside scenario, radio and depth."""
-        return self.family.environment(self.network)
+        return self.spec.environment(self.network)
 
 
 def save_model(folder: str | Path, model: SavedModel) -> None:
@@ -74,7 +64,7 @@ def save_model(folder: str | Path, model: SavedModel) -> None:
     data = safetensors.torch.save(weights)
     config = {
         "format": FORMAT,
-        "family": model.family.name,
+        "spec": model.spec.name,
         "network": asdict(_config_of(model.network)),
         "threshold": model.threshold,
         "sha256": hashlib.sha256(data).hexdigest(),
@@ -94,20 +84,20 @@ def _config_of(network: nn.Module) -> Any:
     return network.config
 
 
-def load_model(folder: str | Path, families: Families = paper_only) -> SavedModel:
-    """Read a model folder; any damage, and a family that `families` does not know, raises ModelError."""
+def load_model(folder: str | Path) -> SavedModel:
+    """Read a model folder; any damage, and a spec that is not registered, raises ModelError."""
     folder = Path(folder)
     config = _read_config(folder / CONFIG)
     data = _read(folder / WEIGHTS)
     if hashlib.sha256(data).hexdigest() != config["sha256"]:
         raise ModelError(folder / WEIGHTS, f"its SHA-256 is not the one in {CONFIG}: truncated or altered")
     try:
-        family = families(config["family"])
+        spec = spec_named(config["spec"])
     except ValueError as error:
         raise ModelError(folder / CONFIG, error) from None
-    network = _network(folder / CONFIG, family, config["network"])
+    network = _network(folder / CONFIG, spec, config["network"])
     network.load_state_dict(_weights(folder / WEIGHTS, data, network.state_dict()))
-    return SavedModel(network.eval(), float(config["threshold"]), config["training"], family)
+    return SavedModel(network.eval(), float(config["threshold"]), config["training"], spec)
 
 
 def _read(path: Path) -> bytes:
@@ -129,13 +119,12 @@ def _read_config(path: Path) -> dict[str, Any]:
     # The version comes first: another version may have other keys.
     if type(config.get("format")) is not int or config["format"] != FORMAT:
         raise ModelError(path, f"format must be {FORMAT}, got {config.get('format')!r}")
-    config.setdefault("family", STGRAPH.name)
     _check_keys(path, "key", config, _KEYS)
     try:
         check_range("threshold", config["threshold"], 0.0, 1.0)
     except ValueError as error:
         raise ModelError(path, error) from None
-    for name, kind in (("family", str), ("network", dict), ("sha256", str), ("training", dict)):
+    for name, kind in (("spec", str), ("network", dict), ("sha256", str), ("training", dict)):
         if not isinstance(config[name], kind):
             raise ModelError(path, f"{name} must be a {kind.__name__}, got {config[name]!r}")
     return config
@@ -148,10 +137,10 @@ def _check_keys(path: Path, what: str, given: dict[str, Any], wanted: set[str]) 
         raise ModelError(path, f"missing {what} {missing[0]!r}")
 
 
-def _network(path: Path, family: Family, knobs: dict[str, Any]) -> nn.Module:
-    _check_keys(path, "network key", knobs, {knob.name for knob in fields(family.config_type)})
+def _network(path: Path, spec: NetworkSpec, knobs: dict[str, Any]) -> nn.Module:
+    _check_keys(path, "network key", knobs, {knob.name for knob in fields(spec.config_type)})
     try:
-        return family.build(family.config_type(**knobs), seed=0)
+        return spec.build(spec.config_type(**knobs), seed=0)
     except (ValueError, TypeError) as error:
         raise ModelError(path, error) from None
 

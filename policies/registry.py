@@ -1,4 +1,4 @@
-"""Kinds of network by name, one module each with its `FAMILY`; torch comes with the first one that is asked for."""
+"""Kinds of network by name, one module each with its `SPEC`; torch comes with the first one that is asked for."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -6,9 +6,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from policies.spec import Family
+    from policies.spec import NetworkSpec
 
-FAMILIES: Mapping[str, str] = MappingProxyType(  # name -> module
+SPECS: Mapping[str, str] = MappingProxyType(  # name -> module
     {
         "stgraph": "policies.stgraph.spec",
         "command": "policies.command",
@@ -18,9 +18,9 @@ FAMILIES: Mapping[str, str] = MappingProxyType(  # name -> module
 )
 
 
-def family_named(name: str) -> "Family":
-    """The family called `name`; ValueError that lists the choices otherwise."""
-    if name not in FAMILIES:
-        raise ValueError(f"unknown family {name!r}: choose among {', '.join(FAMILIES)}")
-    family: Family = import_module(FAMILIES[name]).FAMILY
-    return family
+def spec_named(name: str) -> "NetworkSpec":
+    """The spec called `name`; ValueError that lists the choices otherwise."""
+    if name not in SPECS:
+        raise ValueError(f"unknown spec {name!r}: choose among {', '.join(SPECS)}")
+    spec: NetworkSpec = import_module(SPECS[name]).SPEC
+    return spec

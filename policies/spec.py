@@ -1,7 +1,7 @@
 """What a kind of network must be able to do, so that one course trains, keeps and drives them all.
 
-A family is everything that differs between networks: their knobs, the environment they need, what is kept of a frame
-for them, and how a batch becomes logits. Recording, DAgger, validation and model folders know only this.
+A spec is everything that differs between networks: their knobs, the environment they need, what is kept of a frame
+for them, and how a batch becomes logits. Demonstrations, DAgger, validation and model folders know only this.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,14 +35,14 @@ class Frames(Protocol):
         """These frames and then the others'."""
 
 
-class Driver(Policy, BatchPolicy, Protocol):
+class LearnedPolicy(Policy, BatchPolicy, Protocol):
     """A learned policy: it decides one by one or in batches, and says how sure it is."""
 
     def brake_probability(self, observations: Batch) -> NDArray[Any]:
         """P(brake), (n,), for observations stacked along a new first axis."""
 
 
-class Family(Protocol):
+class NetworkSpec(Protocol):
     """One kind of network."""
 
     @property
@@ -81,5 +81,5 @@ class Family(Protocol):
     def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Logits (B, 2) of GO and BRAKE with their gradients."""
 
-    def driver(self, network: nn.Module, threshold: float) -> Driver:
+    def policy(self, network: nn.Module, threshold: float) -> LearnedPolicy:
         """The network as it is now, as a policy that brakes when P(brake) reaches the threshold."""

@@ -1,4 +1,4 @@
-"""The learned driver: a trained network and a threshold as a Policy."""
+"""The learned policy: a trained network and a threshold as a Policy."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -11,17 +11,14 @@ from torch import nn
 
 from cad_env.config import check_range
 from cad_env.types import Floats, Ints, Observation
-from policies.stgraph.compiled.module import FusedNet, supports
-from policies.stgraph.network import StGraphNet
 
-_CLOUDS_AT_ONCE = 64
-_AT_ONCE = 256  # graphs in one dense pass, which bounds the memory of a large batch
+_CLOUDS_AT_ONCE = 64  # scenes in one pass
 
 
-class ThresholdDriver:
+class ThresholdPolicy:
     """Brakes when P(brake) reaches the threshold; decides each scene by itself, alone or in a batch.
 
-    A kind of driver says what it reads of an observation, `keys`, and how sure it is, `brake_probability`.
+    A kind of policy says what it reads of an observation, `keys`, and how sure it is, `brake_probability`.
     """
 
     privileged = False
@@ -46,29 +43,6 @@ class ThresholdDriver:
         raise NotImplementedError
 
 
-class LearnedPolicy(ThresholdDriver):
-    """The paper's network as a driver.
-
-    It computes in double precision, and fused where it can, which gives the same bits in any batch. Dense, the order
-    of a sum depends on the size of the batch, and in single precision that could turn a decision near the threshold,
-    and with it an episode.
-    """
-
-    def __init__(self, network: StGraphNet, threshold: float = 0.5) -> None:
-        config = network.config
-        keys = ["tracks", "mask", "command"]
-        keys += ["ego"] * (config.velocity or config.ego_speed) + ["kind"] * config.class_input
-        super().__init__(keys, threshold)
-        self._logits = FusedNet(network) if supports(config) else DenseNet(network, _AT_ONCE)
-
-    def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-        """P(brake), (n,), for observations stacked along a new first axis."""
-        go, brake = self._logits({key: observations[key] for key in self.keys}).T
-        with np.errstate(over="ignore"):
-            probability: NDArray[np.float64] = 1 / (1 + np.exp(go - brake))
-        return probability
-
-
 class DenseNet:
     """A network as it is now, for decisions only, in double precision; its last bits may depend on the batch.
 
@@ -88,7 +62,7 @@ class DenseNet:
         return torch.cat(parts).numpy() if parts else np.empty((0, 2))
 
 
-class CloudDriver(ThresholdDriver):
+class PointsPolicy(ThresholdPolicy):
     """A network that reads the clouds an environment shows.
 
     It computes in double precision: the order of a sum may depend on the size of the batch, and in single precision

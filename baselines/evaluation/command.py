@@ -41,7 +41,7 @@ def put_together(words: Sequence[str]) -> int:
 
 def scored(settings: Settings) -> int:
     """Score, print the table, and return the exit code; whatever stops it becomes one line on standard error."""
-    if len(settings.policy) > 1:
+    if len(settings.models) > 1:
         return scored_by_seed(settings)
     try:
         from baselines.evaluation.run import completed, opened  # here, so that --help is quick

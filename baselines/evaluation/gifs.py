@@ -6,9 +6,9 @@ from typing import Any
 
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.evaluation.store import gif_name
-from baselines.methods import contender_named
+from baselines.methods import method_named
+from cad_env.animation import filmed, write_gif
 from cad_env.envs.single import CADEnv
-from cad_env.rendering.animation import filmed, write_gif
 from cad_env.rendering.danger import danger
 from cad_env.rendering.framing import screen
 from cad_env.scenarios import scenario_named
@@ -19,7 +19,7 @@ SIZE = 2.0 / 3.0  # of the size of a picture
 
 
 def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, count: int) -> list[Path]:
-    """`<scenario>_<contender>_<outcome>_<seed>.gif` in `folder` for `count` episodes of each such kind.
+    """`<scenario>_<method>_<outcome>_<seed>.gif` in `folder` for `count` episodes of each such kind.
 
     ValueError if an episode does not end as its record says: it was made with other settings, models or code.
     """
@@ -27,10 +27,10 @@ def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, coun
 
 
 def first_of_each(records: Iterable[Record], count: int) -> list[Record]:
-    """Of each scenario, contender and outcome `count` records: those with a hazard first, then the lowest seeds."""
+    """Of each scenario, method and outcome `count` records: those with a hazard first, then the lowest seeds."""
     kinds: dict[tuple[str, str, str], list[Record]] = {}
     for record in sorted(records, key=lambda record: (not record.hazard, record.seed)):
-        kinds.setdefault((record.scenario, record.contender, record.outcome), []).append(record)
+        kinds.setdefault((record.scenario, record.method, record.outcome), []).append(record)
     return [record for kind in sorted(kinds) for record in kinds[kind][:count]]
 
 
@@ -38,12 +38,12 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
     """The GIF of one recorded episode."""
     env = CADEnv(**_environment(settings, record))
     episode, frames = filmed(
-        env, _policy(settings, record), record.seed, record.contender, HAZARDS[settings.hazard], (danger,)
+        env, _policy(settings, record), record.seed, record.method, HAZARDS[settings.hazard], (danger,)
     )
     env.close()
     if episode.outcome != record.outcome:
         raise ValueError(
-            f"the episode of seed {record.seed} with {record.contender} ends in {episode.outcome}, "
+            f"the episode of seed {record.seed} with {record.method} ends in {episode.outcome}, "
             f"but was recorded as {record.outcome}: it was made with other settings, models or code"
         )
     return write_gif(frames, folder / gif_name(record))
@@ -51,10 +51,10 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
 
 def _environment(settings: Settings, record: Record) -> dict[str, Any]:
     """The options that a recorded episode was driven with, and a small picture."""
-    options = settings.environment(record.scenario, contender_named(record.contender))
+    options = settings.environment(record.scenario, method_named(record.method))
     return {**options, "config": screen(scenario_named(record.scenario).map, SIZE)}
 
 
 def _policy(settings: Settings, record: Record) -> Policy:
     """Who drove a recorded episode."""
-    return settings.driver(record.scenario, contender_named(record.contender))
+    return settings.policy(record.scenario, method_named(record.method))

@@ -1,4 +1,4 @@
-"""Every episode of a scoring run, in the order of its table: scenario, contender, seed."""
+"""Every episode of a scoring run, in the order of its table: scenario, method, seed."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -6,22 +6,22 @@ from typing import NamedTuple
 
 CHUNK = 25  # episodes that a process takes at a time
 
-Key = tuple[str, str, int]  # scenario, contender, seed: what tells an episode from all others
+Key = tuple[str, str, int]  # scenario, method, seed: what tells an episode from all others
 
 
 class Task(NamedTuple):
     """Episodes that are driven in one go."""
 
     scenario: str
-    contender: str
+    method: str
     seeds: Sequence[int]
 
     def episodes(self) -> list[Key]:
         """Its episodes."""
-        return [(self.scenario, self.contender, seed) for seed in self.seeds]
+        return [(self.scenario, self.method, seed) for seed in self.seeds]
 
 
-def grid(scenarios: Iterable[str], contenders: Sequence[str], seeds: range, shard: str | None = None) -> list[Task]:
+def grid(scenarios: Iterable[str], methods: Sequence[str], seeds: range, shard: str | None = None) -> list[Task]:
     """All tasks, or those of a shard `i/n`: every n-th, from the i-th on.
 
     >>> [task.seeds for task in grid(["left_turn"], ["expert"], range(60), "2/2")]
@@ -29,9 +29,9 @@ def grid(scenarios: Iterable[str], contenders: Sequence[str], seeds: range, shar
     """
     number, count = (1, 1) if shard is None else shard_of(shard)
     tasks = [
-        Task(scenario, contender, seeds[start : start + CHUNK])
+        Task(scenario, method, seeds[start : start + CHUNK])
         for scenario in scenarios
-        for contender in contenders
+        for method in methods
         for start in range(0, len(seeds), CHUNK)
     ]
     return tasks[number - 1 :: count]

@@ -1,4 +1,4 @@
-"""Contenders x seeds -> records of episodes -> scores: in this process or in several, with the same result."""
+"""Methods x seeds -> records of episodes -> scores: in this process or in several, with the same result."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ from baselines.evaluation.grid import Task
 from baselines.evaluation.ray_backend import on_ray
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.evaluation.store import NOTES, Store, key_of
-from baselines.methods import MODEL_FILES, contender_named
+from baselines.methods import MODEL_FILES, method_named
 from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.numerics.jit import version
@@ -27,7 +27,7 @@ ABREAST = 16  # episodes side by side, for a policy that decides in batches
 
 
 def score(settings: Settings) -> list[Scorecard]:
-    """Score every contender on every scenario and seed, going on where an earlier run with these settings stopped."""
+    """Score every method on every scenario and seed, going on where an earlier run with these settings stopped."""
     return completed(settings, opened(settings))
 
 
@@ -35,15 +35,15 @@ def opened(settings: Settings) -> Store:
     """The results so far. ValueError or OSError, one line, for models or a folder that cannot be used."""
     prefer_one_thread()
     for scenario in settings.scenarios():
-        for name in settings.contender:
-            settings.driver(scenario, contender_named(name))
+        for name in settings.method:
+            settings.policy(scenario, method_named(name))
     return Store(settings.folder(), identity(settings))
 
 
 def completed(settings: Settings, store: Store, advance: Callable[[int], object] | None = None) -> list[Scorecard]:
     """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only.
 
-    `advance` is told of finished episodes, and no bar is drawn then.
+    `advance` is progress of finished episodes, and no bar is drawn then.
     """
     keys = [key for task in settings.tasks() for key in task.episodes()]
     with (
@@ -76,10 +76,10 @@ def identity(settings: Settings) -> dict[str, Any]:
         "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
         "collaborators", "depth", "threshold",
     )  # fmt: skip
-    models = {name: contender_named(name).model for name in settings.contender}
+    models = {name: method_named(name).model for name in settings.method}
     return {
         "scenario": list(settings.scenarios()),
-        "contender": list(settings.contender),
+        "method": list(settings.method),
         **{name: getattr(settings, name) for name in names},
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
         **{f"model of {name}": _digest(settings, model) for name, model in models.items() if model},
@@ -96,7 +96,7 @@ def digest_of(settings: Settings) -> str:
 
 
 def _digest(settings: Settings, model: str) -> str:
-    folders: dict[Path, None] = dict.fromkeys(settings.models(scenario) / model for scenario in settings.scenarios())
+    folders: dict[Path, None] = dict.fromkeys(settings.models_of(scenario) / model for scenario in settings.scenarios())
     data = b"".join((folder / name).read_bytes() for folder in folders for name in MODEL_FILES)
     return hashlib.sha256(data).hexdigest()[:16]
 
@@ -110,18 +110,18 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
 
 
 def drive(settings: Settings, task: Task) -> Iterator[Record]:
-    """The records of one contender on some seeds of one scenario, as the episodes end."""
-    contender = contender_named(task.contender)
-    policy = settings.driver(task.scenario, contender)
+    """The records of one method on some seeds of one scenario, as the episodes end."""
+    method = method_named(task.method)
+    policy = settings.policy(task.scenario, method)
     abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
-    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, contender))
-    return map(_record, rollouts(envs, policy, task.seeds, task.contender, HAZARDS[settings.hazard]))
+    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, method))
+    return map(_record, rollouts(envs, policy, task.seeds, task.method, HAZARDS[settings.hazard]))
 
 
 def _record(episode: Episode) -> Record:
     messages = int(episode.messages_sent.sum())
     return Record(
-        episode.scenario, episode.contender, episode.seed, episode.hazard, episode.outcome, round(episode.time, 6),
+        episode.scenario, episode.method, episode.seed, episode.hazard, episode.outcome, round(episode.time, 6),
         episode.brakes, round(episode.bytes_per_message, 3) if messages else None,
         int(episode.largest_message.max()) if messages else None, messages,
         int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
@@ -141,18 +141,18 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
             for record in drive(settings, task):
                 yield [record]
     else:
-        with workers(min(settings.jobs, len(tasks))) as (pool, told):
+        with workers(min(settings.jobs, len(tasks))) as (pool, progress):
             running = {pool.submit(work, task) for task in tasks}
             while running:
-                yield heard(told)
+                yield heard(progress)
                 finished = {future for future in running if future.done()}
                 for future in finished:
-                    yield future.result()  # all of a task: what it told last may still be on its way
+                    yield future.result()  # all of a task: what it progress last may still be on its way
                 running -= finished
 
 
 def _drive_and_tell(settings: Settings, task: Task) -> list[Record]:
-    """What a process does: each record is told as its episode ends, so that a kill loses none that has ended."""
+    """What a process does: each record is progress as its episode ends, so that a kill loses none that has ended."""
     records = []
     for record in drive(settings, task):
         tell(record)

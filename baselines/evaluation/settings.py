@@ -8,7 +8,7 @@ from typing import Any
 
 from baselines.evaluation.grid import Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
-from baselines.methods import SHIPPED, Contender, contender_named, shipped_models
+from baselines.methods import SHIPPED, Method, method_named, shipped_models
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
 from cad_env.types import FRAMES, STEP, Policy
 
@@ -20,7 +20,7 @@ HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that chan
 
 @dataclass(frozen=True)
 class Settings:
-    """Score contenders in closed loop, all on the same seeds of every scenario.
+    """Score methods in closed loop, all on the same seeds of every scenario.
 
     Writes episodes.jsonl (one line an episode), scores.json (rates with 95 % Wilson intervals) and report.html (tables
     and plots), and prints the table. Interrupt it as you like: the same command goes on where it stopped.
@@ -28,19 +28,19 @@ class Settings:
     """
 
     scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
-    contender: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/learned.py has more
-    policy: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
-    episodes: int = 500  # per scenario and contender
+    method: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/learned.py has more
+    models: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
+    episodes: int = 500  # per scenario and method
     first_seed: int = 1_000_000  # training never uses seeds from a million on
     jobs: int = 1  # processes
     backend: str = "processes"  # or ray: on the cores of this machine, or on the cluster that RAY_ADDRESS names
     shard: str | None = None  # i/n: only the i-th of n parts of the run, into <out>/shard_i_of_n
     out: Path = Path("results")  # folder to write to
     report: bool = True  # write report.html
-    gif: int = 0  # animations of each scenario, contender and outcome, into <out>/gifs and the report
+    gif: int = 0  # animations of each scenario, method and outcome, into <out>/gifs and the report
     traffic: str = "light"  # none, light or dense: how much is on the road around the cast of a scenario
     penetration: float | None = None  # share of the vehicles that is connected; default: two to four
-    radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the contenders that share
+    radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the methods that share
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
     burst: float | None = None  # mean slots in a row that the ego misses of a sender; default: each by itself
     delay: float | None = None  # s until a message arrives, rounded up to 0.1 s; default: the radio's own
@@ -51,17 +51,17 @@ class Settings:
     collaborators: int | None = None  # connected vehicles besides the ego; default: two to four
     hazard: str = "all"  # yes or no: only episodes with or without one; all: as the seed decides
     depth: int = FRAMES  # newest frames in a message
-    threshold: float | None = None  # P(brake) from which a learned contender brakes; default: its model's own
+    threshold: float | None = None  # P(brake) from which a learned method brakes; default: its model's own
 
     def __post_init__(self) -> None:
-        for name in self.contender:
-            contender_named(name)
-        for what in ("scenario", "contender"):
+        for name in self.method:
+            method_named(name)
+        for what in ("scenario", "method"):
             names = getattr(self, what)
             if not names or len(set(names)) < len(names):
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
-        if len({folder.name for folder in self.policy}) < len(self.policy):
-            raise ValueError(f"policy folders must have different names, got {' '.join(map(str, self.policy))}")
+        if len({folder.name for folder in self.models}) < len(self.models):
+            raise ValueError(f"models folders must have different names, got {' '.join(map(str, self.models))}")
         check_range("episodes", self.episodes, 1, 10_000_000)
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)
@@ -89,15 +89,15 @@ class Settings:
 
         return tuple(SCENARIOS) if self.scenario == ALL else self.scenario
 
-    def environment(self, scenario: str, contender: Contender) -> dict[str, Any]:
-        """The options of the environment for a contender: what it shares, and what its network needs."""
-        radio = self.radio_config() if contender.shares else RADIO_PRESETS["none"]
-        options = self._environment(scenario, radio, min(self.depth, contender.depth))
-        return {**options, **contender.needs(self.models(scenario))}
+    def environment(self, scenario: str, method: Method) -> dict[str, Any]:
+        """The options of the environment for a method: what it shares, and what its network needs."""
+        radio = self.radio_config() if method.shares else RADIO_PRESETS["none"]
+        options = self._environment(scenario, radio, min(self.depth, method.depth))
+        return {**options, **method.needs(self.models_of(scenario))}
 
-    def driver(self, scenario: str, contender: Contender) -> Policy:
-        """A contender as it drives in a scenario. ValueError for models that are not there."""
-        policy = contender.make_policy(self.models(scenario))
+    def policy(self, scenario: str, method: Method) -> Policy:
+        """A method as it drives in a scenario. ValueError for models that are not there."""
+        policy = method.make_policy(self.models_of(scenario))
         if self.threshold is not None and hasattr(policy, "threshold"):
             policy.threshold = self.threshold
         return policy
@@ -122,16 +122,16 @@ class Settings:
         return replace(radio_config(self.radio), **{name: value for name, value in chosen.items() if value is not None})
 
     def seeds(self) -> range:
-        """The same for every scenario and contender."""
+        """The same for every scenario and method."""
         return range(self.first_seed, self.first_seed + self.episodes)
 
     def tasks(self) -> list[Task]:
         """Every episode of this run, or of this shard of it."""
-        return grid(self.scenarios(), self.contender, self.seeds(), self.shard)
+        return grid(self.scenarios(), self.method, self.seeds(), self.shard)
 
-    def models(self, scenario: str) -> Path:
+    def models_of(self, scenario: str) -> Path:
         """The folder of trained models for a scenario; of the first training seed, where there are several."""
-        return self.policy[0] if self.policy else shipped_models(scenario)
+        return self.models[0] if self.models else shipped_models(scenario)
 
     def folder(self) -> Path:
         """Where the results go."""

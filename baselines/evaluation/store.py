@@ -65,7 +65,7 @@ class Store:
 
 def key_of(record: Record) -> Key:
     """What tells an episode from all others of a run."""
-    return record.scenario, record.contender, record.seed
+    return record.scenario, record.method, record.seed
 
 
 def gif_of(folder: Path, record: Record) -> Path:
@@ -74,8 +74,8 @@ def gif_of(folder: Path, record: Record) -> Path:
 
 
 def gif_name(record: Record) -> str:
-    """`<scenario>_<contender>_<outcome>_<seed>.gif`."""
-    return f"{record.scenario}_{record.contender}_{record.outcome}_{record.seed}.gif"
+    """`<scenario>_<method>_<outcome>_<seed>.gif`."""
+    return f"{record.scenario}_{record.method}_{record.outcome}_{record.seed}.gif"
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
@@ -147,8 +147,8 @@ def merged(merging: Merging) -> list[Scorecard]:
     records = {key_of(record): record for folder in merging.merge for record in read_records(folder)}
     missing = [key for key in keys if key not in records]
     if missing:
-        scenario, contender, seed = missing[0]
-        which = f"{len(missing)} of {len(keys)} episodes, such as seed {seed} of {contender} in {scenario}"
+        scenario, method, seed = missing[0]
+        which = f"{len(missing)} of {len(keys)} episodes, such as seed {seed} of {method} in {scenario}"
         raise ValueError(f"these folders lack {which}: finish every shard and name them all")
     store = Store(merging.out, settings)
     store.records = records
@@ -170,7 +170,7 @@ def _one_run(folders: Sequence[Path]) -> dict[str, Any]:
 def _keys(folder: Path, settings: dict[str, Any]) -> list[Key]:
     try:
         seeds = range(settings["first_seed"], settings["first_seed"] + settings["episodes"])
-        tasks = grid(settings["scenario"], settings["contender"], seeds)
+        tasks = grid(settings["scenario"], settings["method"], seeds)
     except (KeyError, TypeError) as error:
         raise ValueError(f"the settings.json of {folder} is damaged ({error!r})") from None
     return [key for task in tasks for key in task.episodes()]

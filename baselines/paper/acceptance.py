@@ -12,7 +12,7 @@ from baselines.paper.tables import markdown, number, percent, share, spoken
 from cad_env.scoring.interval import Estimate
 
 SMALLER = {"compressed": 100.0, "raw-points": 1000.0}  # times, as encoded
-Rows = Mapping[str, ClosedRow]  # by contender
+RowsByMethod = Mapping[str, ClosedRow]  # by method
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,13 @@ class Bar:
 
 def bars(scenario: str, radios: Mapping[str, Sequence[ClosedRow]], scores: Mapping[str, OpenScore]) -> list[Bar]:
     """All demands that can be judged in a scene by the rows over each radio, the main one first, and open loop."""
-    first: Rows = {row.contender: row for row in next(iter(radios.values()), [])}
+    first: RowsByMethod = {row.method: row for row in next(iter(radios.values()), [])}
     everywhere = [row for rows in radios.values() for row in rows]
     found = [*_driving(first), *_sizes(everywhere, scores), *_imitation(scores), *_leak(first)]
     return [Bar(scenario, *each) for each in found]
 
 
-def _driving(rows: Rows) -> Iterator[tuple[str, str, bool]]:
+def _driving(rows: RowsByMethod) -> Iterator[tuple[str, str, bool]]:
     ours, expert = rows.get(OURS), rows.get("expert")
     if ours is None:
         return
@@ -55,7 +55,7 @@ def _driving(rows: Rows) -> Iterator[tuple[str, str, bool]]:
 
 def _sizes(rows: Sequence[ClosedRow], scores: Mapping[str, OpenScore]) -> Iterator[tuple[str, str, bool]]:
     """As encoded on held-out episodes over a radio that carries them; of rows without these, as sent in driving."""
-    size = {row.contender: row.bytes_per_message for row in reversed(rows) if row.bytes_per_message}
+    size = {row.method: row.bytes_per_message for row in reversed(rows) if row.bytes_per_message}
     size |= {name: score.bytes_per_message for name, score in scores.items() if score.bytes_per_message}
     if OURS not in size:
         return
@@ -73,7 +73,7 @@ def _imitation(scores: Mapping[str, OpenScore]) -> Iterator[tuple[str, str, bool
                 yield f"{name} at least 0.93", share(estimate), estimate.value >= 0.93
 
 
-def _leak(rows: Rows) -> Iterator[tuple[str, str, bool]]:
+def _leak(rows: RowsByMethod) -> Iterator[tuple[str, str, bool]]:
     """The command must tell nothing: the control is judged against the better of two constants."""
     names = ("command-only", "always-go", "always-brake")
     if all(name in rows for name in names):

@@ -41,7 +41,7 @@ class Order:
 
 def orders(rows: Sequence[ClosedRow], drives: Mapping[str, Drives]) -> list[Order]:
     """What came of the claims, as far as both rows are there, in one scenario over one radio."""
-    by_name = {row.contender: row for row in rows}
+    by_name = {row.method: row for row in rows}
     claims = [(better, worse) for better, worse in CLAIMS if better in by_name and worse in by_name]
     pairs = [success_pairs(drives[better], drives[worse]) for better, worse in claims]
     known = [(claim, pair) for claim, pair in zip(claims, pairs, strict=True) if pair[0].size]

@@ -23,11 +23,11 @@ Spread = tuple[float, float]
 
 @dataclass(frozen=True)
 class ClosedRow:
-    """A contender in a scenario over a radio, over all training seeds."""
+    """A method in a scenario over a radio, over all training seeds."""
 
     radio: str
     scenario: str
-    contender: str
+    method: str
     training_seeds: int
     episodes: int  # of each training seed
     collision: Estimate
@@ -52,7 +52,7 @@ class ClosedRow:
 
 
 def closed_row(
-    radio: str, scenario: str, contender: str, drives: Drives, expert: Mapping[int, Record]
+    radio: str, scenario: str, method: str, drives: Drives, expert: Mapping[int, Record]
 ) -> ClosedRow:  # fmt: skip
     """The row of at least one episode, without its comparison."""
     runs = paired(drives)
@@ -63,7 +63,7 @@ def closed_row(
     total, time = sum(record.bytes_total for record in records), sum(record.time for record in records)
     success, collision = (_outcomes(runs, outcome) for outcome in ("success", "collision"))
     return ClosedRow(
-        radio, scenario, contender, len(runs), episodes, _rate(collision), _rate(success),
+        radio, scenario, method, len(runs), episodes, _rate(collision), _rate(success),
         _rate(_outcomes(runs, "timeout")), _spread(collision), _spread(success), _sct(runs, expert),
         _mean([[record.time for record in run] for run in runs]),
         _mean([[record.time for record in run] for run in calm]) if calm[0] else None,
@@ -78,16 +78,16 @@ def closed_row(
 
 def compared(rows: Sequence[ClosedRow], reference: Drives, drives: Mapping[str, Drives]) -> list[ClosedRow]:
     """The rows of one scenario and radio, each with how `stgraph`, the reference, does against it."""
-    others = [row for row in rows if row.contender != OURS]
+    others = [row for row in rows if row.method != OURS]
     found = {}
     for row in others:
-        ours, theirs = success_pairs(reference, drives[row.contender])
+        ours, theirs = success_pairs(reference, drives[row.method])
         if ours.size:
-            found[row.contender] = difference(ours, theirs), mcnemar_of_seeds(ours, theirs)
+            found[row.method] = difference(ours, theirs), mcnemar_of_seeds(ours, theirs)
     adjusted = dict(zip(found, holm([test.p for _, test in found.values()]), strict=True))
     return [
         replace(row, advantage=found[name][0], test=found[name][1], adjusted_p=adjusted[name])
-        if (name := row.contender) in found
+        if (name := row.method) in found
         else row
         for row in rows
     ]
@@ -99,7 +99,7 @@ def difference(first: Bools, second: Bools) -> Estimate:
 
 
 def success_pairs(first: Drives, second: Drives) -> tuple[Bools, Bools]:
-    """Successes (S, E) and (R, E) of two contenders on the episodes that both have.
+    """Successes (S, E) and (R, E) of two methods on the episodes that both have.
 
     Of the training seeds they keep those that both have; one that is trained once, or not at all, meets all.
     """
@@ -118,7 +118,7 @@ def paired(drives: Drives) -> list[list[Record]]:
     """By training seed, the records of the episodes that all training seeds have, in one order."""
     seeds = sorted(set.intersection(*(set(run) for run in drives.values())))
     if not seeds:
-        raise ValueError("the training seeds of a contender have no episode in common")
+        raise ValueError("the training seeds of a method have no episode in common")
     return [[run[seed] for seed in seeds] for run in drives.values()]
 
 

@@ -29,7 +29,7 @@ class ReproduceSettings:
     jobs: int = 2  # processes
     shard: str | None = None  # i/n: only the i-th of n parts; the last step is a run without it, or with --merge
     merge: bool = False  # nothing but the tables of what is finished
-    row: tuple[str, ...] = ()  # only these contenders; default: all of the tables
+    method: tuple[str, ...] = ()  # only these methods; default: all of the tables
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
@@ -67,9 +67,9 @@ def plan_of(settings: ReproduceSettings) -> Any:
 
     if settings.shard is not None:
         shard_of(settings.shard)
-    if unknown := [name for name in settings.row if name not in in_table()]:
+    if unknown := [name for name in settings.method if name not in in_table()]:
         raise ValueError(f"unknown row {unknown[0]!r}: choose among {', '.join(in_table())}")
-    rows = tuple(name for name in in_table() if not settings.row or name in settings.row)
+    rows = tuple(name for name in in_table() if not settings.method or name in settings.method)
     return Plan(settings.out, PRESETS[settings.preset], tuple(SCENARIOS), rows)
 
 
@@ -97,7 +97,7 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     """Record, then train and measure, a training seed after the other, and sweep; with one progress bar.
 
     What failed comes back. It is said and, with its traceback, written down after every stage, so that a run that is
-    interrupted has told it. A run that is stopped has whole seeds to show.
+    interrupted has progress it. A run that is stopped has whole seeds to show.
     """
     from tqdm import tqdm
 
@@ -116,8 +116,8 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
         ]
         sweeps += [task for task in measured if task.stage == "sweep"]
     stages.append(("sweep", sweeps))
-    recording = float(plan.preset.episodes * len(plan.scenarios))
-    total = recording + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
+    demonstrations = float(plan.preset.episodes * len(plan.scenarios))
+    total = demonstrations + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
     notes = plan.out / (FAILURES if shard is None else "failures_{}_of_{}.txt".format(*shard_of(shard)))
     with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
         found = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
@@ -132,7 +132,7 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
 
 
 def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:
-    """Those whose contender was not lost in training."""
+    """Those whose method was not lost in training."""
     lost = {what for what, _ in failures}
     return [task for task in tasks if f"train {task.row} seed {task.seed}" not in lost]
 
@@ -158,20 +158,20 @@ def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) 
 
     if not tasks:
         return []
-    with workers(min(jobs, len(tasks))) as (pool, told):
+    with workers(min(jobs, len(tasks))) as (pool, progress):
         running = {pool.submit(work, task): task for task in tasks}
         while not all(future.done() for future in running):
-            bar.update(sum(heard(told)))
-        bar.update(sum(heard(told)))
+            bar.update(sum(heard(progress)))
+        bar.update(sum(heard(progress)))
         return [(str(task), future.result()) for future, task in running.items() if future.result()]
 
 
 def _record(plan: Any, scenario: str) -> str:
-    from baselines.paper.tasks import RECORDING
+    from baselines.paper.tasks import DEMONSTRATIONS
     from baselines.workers import tell
-    from policies.training.dagger import record_expert
+    from policies.training.dagger import record_demonstrations
 
-    return _attempt(lambda: record_expert(plan.out / RECORDING, scenario, plan.preset.episodes, tell))
+    return _attempt(lambda: record_demonstrations(plan.out / DEMONSTRATIONS, scenario, plan.preset.episodes, tell))
 
 
 def _perform(plan: Any, task: Any) -> str:

@@ -1,7 +1,7 @@
 """The folder of a run -> everything the tables and plots are made of. What is not there is simply absent.
 
 closed/<radio>/<training seed>/       results of evaluate.py (settings.json, episodes.jsonl)
-open/<training seed>/<scenario>_<contender>.json
+open/<training seed>/<scenario>_<method>.json
 sweeps/<name>/<value>/                results of evaluate.py
 costs.json                            what networks cost, row by row
 notes.md                              what people wrote about it
@@ -19,7 +19,7 @@ from baselines.paper.sweeps import SWEEPS
 from cad_env.scoring.scorecard import Record
 
 NOTES, COSTS = "notes.md", "costs.json"
-ROWS = (
+TABLE_ORDER = (
     "always-go", "always-brake", "command-only", "planner-own", "cautious-own", "planner-shared", "expert", "ppo",
     "gat", "collab-gat", "stgraph-own", "raw-points", "compressed", "stgraph-no-edges", "stgraph-bc", "stgraph",
     "stgraph-velocity",
@@ -32,10 +32,10 @@ Drives = Mapping[int, Mapping[int, Record]]  # training seed -> seed of the epis
 class Run:
     """What was measured."""
 
-    closed: Mapping[str, Mapping[str, Mapping[str, Drives]]]  # radio -> scenario -> contender, as ROWS go
-    open: Mapping[str, Mapping[str, Mapping[int, OpenLoop]]]  # scenario -> contender -> training seed
+    closed: Mapping[str, Mapping[str, Mapping[str, Drives]]]  # radio -> scenario -> method, as TABLE_ORDER go
+    open: Mapping[str, Mapping[str, Mapping[int, OpenLoop]]]  # scenario -> method -> training seed
     sweeps: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Mapping[int, Record]]]]]
-    # name -> value, as SWEEPS go -> scenario -> contender -> seed of the episode
+    # name -> value, as SWEEPS go -> scenario -> method -> seed of the episode
     commands: Mapping[str, str]  # folder below that of the run -> the command that fills it
     costs: Any  # of JSON; None if nobody measured them
     notes: str
@@ -71,9 +71,9 @@ def _closed(radio: Path) -> dict[str, dict[str, dict[int, dict[int, Record]]]]:
     found: dict[str, dict[str, dict[int, dict[int, Record]]]] = {}
     for training_seed, records in sorted((int(part.name), _records(part)) for part in _folders(radio, numbers=True)):
         for record in records:
-            drives = found.setdefault(record.scenario, {}).setdefault(record.contender, {})
+            drives = found.setdefault(record.scenario, {}).setdefault(record.method, {})
             drives.setdefault(training_seed, {})[record.seed] = record
-    return {scenario: in_order(contenders) for scenario, contenders in found.items()}
+    return {scenario: in_order(methods) for scenario, methods in found.items()}
 
 
 def _open(folder: Path) -> dict[str, dict[str, dict[int, OpenLoop]]]:
@@ -81,8 +81,8 @@ def _open(folder: Path) -> dict[str, dict[str, dict[int, OpenLoop]]]:
     for part in sorted(_folders(folder, numbers=True), key=lambda part: int(part.name)):
         for path in sorted(part.glob("*.json")):
             loop = read_open_loop(path)
-            found.setdefault(loop.scenario, {}).setdefault(loop.contender, {})[int(part.name)] = loop
-    return {scenario: in_order(contenders) for scenario, contenders in found.items()}
+            found.setdefault(loop.scenario, {}).setdefault(loop.method, {})[int(part.name)] = loop
+    return {scenario: in_order(methods) for scenario, methods in found.items()}
 
 
 def _sweep(folder: Path, name: str) -> dict[str, dict[str, dict[str, dict[int, Record]]]]:
@@ -90,15 +90,15 @@ def _sweep(folder: Path, name: str) -> dict[str, dict[str, dict[str, dict[int, R
     values: dict[str, dict[str, dict[str, dict[int, Record]]]] = {}
     for part in sorted(_folders(folder), key=lambda part: places.get(part.name, len(places))):
         for record in _records(part):
-            contenders = values.setdefault(part.name, {}).setdefault(record.scenario, {})
-            contenders.setdefault(record.contender, {})[record.seed] = record
+            methods = values.setdefault(part.name, {}).setdefault(record.scenario, {})
+            methods.setdefault(record.method, {})[record.seed] = record
     return values
 
 
-def in_order(contenders: Mapping[str, Any]) -> dict[str, Any]:
-    """By contender, in the order of the tables; who is not in them comes last."""
-    places = {name: place for place, name in enumerate(ROWS)}
-    return {name: contenders[name] for name in sorted(contenders, key=lambda name: (places.get(name, 99), name))}
+def in_order(methods: Mapping[str, Any]) -> dict[str, Any]:
+    """By method, in the order of the tables; who is not in them comes last."""
+    places = {name: place for place, name in enumerate(TABLE_ORDER)}
+    return {name: methods[name] for name in sorted(methods, key=lambda name: (places.get(name, 99), name))}
 
 
 def _folders(folder: Path, numbers: bool = False) -> list[Path]:

@@ -1,4 +1,4 @@
-"""The parts of a reproduction, one a contender, put side by side: the folders that its report is made of."""
+"""The parts of a reproduction, one a method, put side by side: the folders that its report is made of."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -59,35 +59,35 @@ def _is_finished(part: Settings) -> bool:
 
 
 def commands(parts: Sequence[Settings]) -> str:
-    """What gives the episodes of these parts, a line for those that differ in nothing but the contender."""
-    policy = next((part.policy for part in parts if part.policy), ())  # of one training seed; rules do not look at it
+    """What gives the episodes of these parts, a line for those that differ in nothing but the method."""
+    models = next((part.models for part in parts if part.models), ())  # of one training seed; rules do not look at it
     groups: dict[Settings, list[str]] = {}
     for part in parts:
-        alike = replace(part, contender=SHIPPED, policy=policy, out=parts[0].out)
-        groups.setdefault(alike, []).append(part.contender[0])
-    return "\n".join(replace(alike, contender=tuple(names)).command() for alike, names in groups.items())
+        alike = replace(part, method=SHIPPED, models=models, out=parts[0].out)
+        groups.setdefault(alike, []).append(part.method[0])
+    return "\n".join(replace(alike, method=tuple(names)).command() for alike, names in groups.items())
 
 
 def _side_by_side(notes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The settings of each contender in one mapping; where they differ, as `<setting> of <contender>`."""
+    """The settings of each method in one mapping; where they differ, as `<setting> of <method>`."""
     first = next(iter(notes.values()))
     shared = {name: value for name, value in first.items() if all(note.get(name) == value for note in notes.values())}
     return shared | {
         f"{name.removesuffix(f' of {who}')} of {who}": value  # that of a model says so already
         for who, note in notes.items()
         for name, value in note.items()
-        if name not in {*shared, "contender", "command"}
+        if name not in {*shared, "method", "command"}
     }
 
 
 def _join(parts: Sequence[Settings], into: Path) -> None:
-    """As if all contenders had been scored in one run."""
-    whole = replace(parts[0], contender=tuple(part.contender[0] for part in parts), out=into)
-    settings = _side_by_side({part.contender[0]: read_settings(part.out) for part in parts})
-    settings |= {"contender": list(whole.contender), "command": commands(parts)}
+    """As if all methods had been scored in one run."""
+    whole = replace(parts[0], method=tuple(part.method[0] for part in parts), out=into)
+    settings = _side_by_side({part.method[0]: read_settings(part.out) for part in parts})
+    settings |= {"method": list(whole.method), "command": commands(parts)}
     into.mkdir(parents=True, exist_ok=True)
     replace_file(into / SETTINGS, (json.dumps(settings, indent=2) + "\n").encode())
     store = Store(into, settings)
     store.records = {key_of(record): record for part in parts for record in read_records(part.out)}
-    tasks = grid(whole.scenarios(), whole.contender, whole.seeds())
+    tasks = grid(whole.scenarios(), whole.method, whole.seeds())
     store.write_scores(scorecards(store.put_in_order([key for task in tasks for key in task.episodes()])))

@@ -1,9 +1,9 @@
-"""Open loop: the expert drives, and at every frame a contender is asked what it would do.
+"""Open loop: the expert drives, and at every frame a method is asked what it would do.
 
 The episodes are held out: their seeds, from 800,000 on, are neither learned from the expert nor scored in closed loop.
 (PPO draws its episodes from all seeds below 900,000, so that one in 9,000 of them is among a hundred of these.) The
-world is the same for every contender, because the expert drives it by the truth; what is sent and seen is the
-contender's own.
+world is the same for every method, because the expert drives it by the truth; what is sent and seen is the
+method's own.
 """
 
 import json
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from baselines.evaluation.settings import HAZARDS, Settings
-from baselines.methods import Contender
+from baselines.methods import Method
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
 from cad_env.rules.expert import Expert
@@ -30,13 +30,13 @@ AT_ONCE = 256  # frames that a policy is asked in one go
 
 @dataclass(frozen=True)
 class OpenEpisode:
-    """What the expert did and what the contender would have done, frame by frame; "1" is BRAKE."""
+    """What the expert did and what the method would have done, frame by frame; "1" is BRAKE."""
 
     seed: int
     hazard: bool
     labels: str  # of the expert, a digit a frame
-    answers: str  # of the contender
-    brake_probability: tuple[float, ...] | None  # a frame; None for a contender that has none
+    answers: str  # of the method
+    brake_probability: tuple[float, ...] | None  # a frame; None for a method that has none
     messages: int  # sent by all connected vehicles
     bytes: int  # of all of them
     largest: int  # bytes
@@ -66,28 +66,28 @@ class OpenEpisode:
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """A contender in the held-out episodes of a scenario."""
+    """A method in the held-out episodes of a scenario."""
 
     scenario: str
-    contender: str
+    method: str
     radio: str  # by the name of its preset
     episodes: tuple[OpenEpisode, ...]
     made_with: str = ""  # digest of all that the answers depend on: settings, model and code of the scenes
 
 
-def environment_of(contender: Contender, settings: Settings, scenario: str) -> dict[str, Any]:
-    """The options of the environment in which a contender is asked."""
-    return settings.environment(scenario, contender)
+def environment_of(method: Method, settings: Settings, scenario: str) -> dict[str, Any]:
+    """The options of the environment in which a method is asked."""
+    return settings.environment(scenario, method)
 
 
-def measure(contender: Contender, settings: Settings, scenario: str, seeds: Sequence[int]) -> OpenLoop:
-    """Ask a contender in the expert's episodes of these seeds. ValueError for models that are not there."""
-    policy = settings.driver(scenario, contender)
-    envs = CADVectorEnv(min(ABREAST, len(seeds)), **environment_of(contender, settings, scenario))
+def measure(method: Method, settings: Settings, scenario: str, seeds: Sequence[int]) -> OpenLoop:
+    """Ask a method in the expert's episodes of these seeds. ValueError for models that are not there."""
+    policy = settings.policy(scenario, method)
+    envs = CADVectorEnv(min(ABREAST, len(seeds)), **environment_of(method, settings, scenario))
     found: list[OpenEpisode] = []
     for start in range(0, len(seeds), ABREAST):  # so many episodes of observations are held at a time
         found += _asked(policy, envs, seeds[start : start + ABREAST], HAZARDS[settings.hazard])
-    return OpenLoop(scenario, contender.name, settings.radio if contender.shares else "none", tuple(found))
+    return OpenLoop(scenario, method.name, settings.radio if method.shares else "none", tuple(found))
 
 
 def _asked(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], hazard: bool | None) -> list[OpenEpisode]:
@@ -143,23 +143,23 @@ def _is_count(value: object) -> bool:
 
 
 def at_threshold(loop: OpenLoop, threshold: float) -> OpenLoop:
-    """What the contender would have answered with another threshold. ValueError for one that has no P(brake)."""
+    """What the method would have answered with another threshold. ValueError for one that has no P(brake)."""
     episodes = []
     for episode in loop.episodes:
         if episode.brake_probability is None:
-            raise ValueError(f"{loop.contender} does not say how sure it is, so no threshold can be laid on it")
+            raise ValueError(f"{loop.method} does not say how sure it is, so no threshold can be laid on it")
         answers = _digits((np.array(episode.brake_probability) >= threshold).astype(np.int64))
         episodes.append(replace(episode, answers=answers))
     return replace(loop, episodes=tuple(episodes))
 
 
-NAMES = ("scenario", "contender", "radio", "made_with")  # of an OpenLoop
+NAMES = ("scenario", "method", "radio", "made_with")  # of an OpenLoop
 _KEYS = tuple(field.name for field in fields(OpenEpisode))
 
 
-def open_path(folder: Path, training_seed: int, scenario: str, contender: str) -> Path:
+def open_path(folder: Path, training_seed: int, scenario: str, method: str) -> Path:
     """Where a run keeps it."""
-    return folder / "open" / str(training_seed) / f"{scenario}_{contender}.json"
+    return folder / "open" / str(training_seed) / f"{scenario}_{method}.json"
 
 
 def write_open_loop(path: Path, found: OpenLoop) -> None:
@@ -195,5 +195,5 @@ def _parsed(data: Any) -> OpenLoop:
         if scores is not None and not isinstance(scores, list):
             raise ValueError("brake_probability must be a list or null")
         episodes.append(OpenEpisode(**{**line, "brake_probability": None if scores is None else tuple(scores)}))
-    scenario, contender, radio, made_with = names
-    return OpenLoop(scenario, contender, radio, tuple(episodes), made_with)
+    scenario, method, radio, made_with = names
+    return OpenLoop(scenario, method, radio, tuple(episodes), made_with)

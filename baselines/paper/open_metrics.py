@@ -17,10 +17,10 @@ METRICS = ("ad", "ear", "precision", "f1", "false_brake_rate")
 
 @dataclass(frozen=True)
 class OpenScore:
-    """A contender in a scenario over all training seeds. None where a number does not exist, such as no brake's AP."""
+    """A method in a scenario over all training seeds. None where a number does not exist, such as no brake's AP."""
 
     scenario: str
-    contender: str
+    method: str
     radio: str
     training_seeds: int
     episodes: int  # of each training seed
@@ -39,7 +39,7 @@ class OpenScore:
 
 
 def open_score(runs: Mapping[int, OpenLoop], rng: np.random.Generator) -> OpenScore:
-    """The score of a contender's runs by training seed, on the episodes that all of them have."""
+    """The score of a method's runs by training seed, on the episodes that all of them have."""
     whole = list(runs.values())
     kept = _common(whole)
     counts = np.array([[episode.counts() for episode in run] for run in kept], float)  # (S, E, 4)
@@ -49,7 +49,7 @@ def open_score(runs: Mapping[int, OpenLoop], rng: np.random.Generator) -> OpenSc
     frames = int(counts[0].sum())
     messages = sum(episode.messages for run in kept for episode in run)
     return OpenScore(
-        whole[0].scenario, whole[0].contender, whole[0].radio, len(kept), len(kept[0]), frames,
+        whole[0].scenario, whole[0].method, whole[0].radio, len(kept), len(kept[0]), frames,
         float(counts[0, :, (0, 2)].sum() / frames), **found,
         average_precision=_average_precision(kept, rng), ad_spread=_spread(by_seed[:, 0]),
         ear_spread=_spread(by_seed[:, 1]),
@@ -127,7 +127,7 @@ def _common(runs: Sequence[OpenLoop]) -> list[list[OpenEpisode]]:
     by_seed = [{episode.seed: episode for episode in run.episodes} for run in runs]
     shared = sorted(set.intersection(*(set(each) for each in by_seed)))
     if not shared:
-        raise ValueError(f"the training seeds of {runs[0].contender} have no held-out episode in common")
+        raise ValueError(f"the training seeds of {runs[0].method} have no held-out episode in common")
     return [[each[seed] for seed in shared] for each in by_seed]
 
 

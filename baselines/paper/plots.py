@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from baselines.paper.closed_metrics import ClosedRow
-from baselines.paper.folder import ROWS
+from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import spoken
 from cad_env.scoring.interval import Estimate
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SweepRows = Mapping[str, Mapping[str, ClosedRow]]  # value -> contender
+SweepRows = Mapping[str, Mapping[str, ClosedRow]]  # value -> method
 COLOURS = {
     "rules": "#000000", "constant": "#777777", "own": "#D55E00", "graph": "#0072B2", "points": "#009E73",
     "features": "#CC79A7", "truth": "#E69F00",
@@ -84,15 +84,15 @@ def _zone(rows: Sequence[ClosedRow], sweeps: Mapping[str, SweepRows]) -> float:
 
 def _points(axis: "Axes", rows: Sequence[ClosedRow], what: str, zone: float, radio: str) -> None:
     """Hollow if the radio is named."""
-    silent = [row.contender for row in rows if not row.bytes_per_second]
+    silent = [row.method for row in rows if not row.bytes_per_second]
     for row in rows:
         estimate = getattr(row, what)
-        place = row.bytes_per_second or zone * 10 ** (-0.95 + 0.9 * (silent.index(row.contender) + 0.5) / len(silent))
-        kind, shape = LOOKS.get(row.contender, ("constant", "."))
+        place = row.bytes_per_second or zone * 10 ** (-0.95 + 0.9 * (silent.index(row.method) + 0.5) / len(silent))
+        kind, shape = LOOKS.get(row.method, ("constant", "."))
         axis.errorbar(
             place, 100 * estimate.value, yerr=_arms(estimate), marker=shape, linestyle="none", color=COLOURS[kind],
-            markerfacecolor="white" if radio else COLOURS[kind], label=None if radio else row.contender,
-            elinewidth=1.0, clip_on=False, zorder=3, markersize=9 if row.contender == "stgraph" else 7,
+            markerfacecolor="white" if radio else COLOURS[kind], label=None if radio else row.method,
+            elinewidth=1.0, clip_on=False, zorder=3, markersize=9 if row.method == "stgraph" else 7,
         )  # fmt: skip
 
 
@@ -146,7 +146,7 @@ def _legend(figure: "Figure", axis: "Axes", hollow: Sequence[str]) -> None:
     from matplotlib.lines import Line2D
 
     handles, labels = axis.get_legend_handles_labels()
-    places = {name: place for place, name in enumerate(ROWS)}
+    places = {name: place for place, name in enumerate(TABLE_ORDER)}
     order = sorted(range(len(labels)), key=lambda k: places.get(labels[k], 99))
     keys = [handles[k] for k in order]
     named = [labels[k] for k in order]
@@ -157,17 +157,17 @@ def _legend(figure: "Figure", axis: "Axes", hollow: Sequence[str]) -> None:
 
 
 def robustness_plot(path: Path, name: str, scenes: Mapping[str, SweepRows]) -> None:
-    """A sweep, scene by scene: success of each contender with its Wilson band, and collisions dashed."""
+    """A sweep, scene by scene: success of each method with its Wilson band, and collisions dashed."""
     with _styled():
         figure, axes = _figure(1.4 + 3.4 * len(scenes), 3.6, len(scenes), sharey=True)
         for axis, (scene, values) in zip(axes, scenes.items(), strict=True):
             places = _places(list(values))
-            contenders = dict.fromkeys(contender for rows in values.values() for contender in rows)
-            for contender in contenders:
+            methods = dict.fromkeys(method for rows in values.values() for method in rows)
+            for method in methods:
                 _curve(
                     axis,
-                    contender,
-                    {places[value]: rows[contender] for value, rows in values.items() if contender in rows},
+                    method,
+                    {places[value]: rows[method] for value, rows in values.items() if method in rows},
                 )
             axis.set_title(spoken(scene), loc="left", fontweight="bold", fontsize=10.5)
             axis.set(ylim=(-2, 102))
@@ -178,8 +178,8 @@ def robustness_plot(path: Path, name: str, scenes: Mapping[str, SweepRows]) -> N
         figure.savefig(path, dpi=130)
 
 
-def _curve(axis: "Axes", contender: str, rows: Mapping[float, ClosedRow]) -> None:
-    colour, shape = COMPARED_COLOURS.get(contender, "#777777"), LOOKS.get(contender, ("", "."))[1]
+def _curve(axis: "Axes", method: str, rows: Mapping[float, ClosedRow]) -> None:
+    colour, shape = COMPARED_COLOURS.get(method, "#777777"), LOOKS.get(method, ("", "."))[1]
     places = list(rows)
     success = [row.success for row in rows.values()]
     axis.fill_between(
@@ -188,10 +188,10 @@ def _curve(axis: "Axes", contender: str, rows: Mapping[float, ClosedRow]) -> Non
     )  # fmt: skip
     axis.plot(
         places, [100 * each.value for each in success], color=colour, marker=shape, markersize=6, clip_on=False,
-        label=f"{contender}: success",
+        label=f"{method}: success",
     )  # fmt: skip
     collisions = [100 * row.collision.value for row in rows.values()]
-    axis.plot(places, collisions, "--", color=colour, linewidth=1.2, clip_on=False, label=f"{contender}: collisions")
+    axis.plot(places, collisions, "--", color=colour, linewidth=1.2, clip_on=False, label=f"{method}: collisions")
 
 
 def _places(values: Sequence[str]) -> dict[str, float]:

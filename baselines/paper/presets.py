@@ -12,12 +12,12 @@ EVERY, ENDS = "every", "ends"  # which points of a sweep
 
 @dataclass(frozen=True)
 class Preset:
-    """Episodes are counted per scenario, and where something drives, per contender too."""
+    """Episodes are counted per scenario, and where something drives, per method too."""
 
     seeds: tuple[int, ...]  # of training
     episodes: int  # driven by the expert, to learn from
-    corrections: int  # DAgger rounds
-    corrected_episodes: int  # in each of them
+    dagger_rounds: int  # DAgger rounds
+    dagger_episodes: int  # in each of them
     steps: int  # optimiser steps of the first round; later rounds take half as many
     validation: int  # closed-loop episodes after each third of a round
     open_loop: int  # held-out episodes of the expert
@@ -39,15 +39,15 @@ class Preset:
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "quick": Preset(
-            seeds=(0,), episodes=160, corrections=1, corrected_episodes=60, steps=1200, validation=12, open_loop=30,
+            seeds=(0,), episodes=160, dagger_rounds=1, dagger_episodes=60, steps=1200, validation=12, open_loop=30,
             scored=100, swept=16, sweep_points=ENDS, ppo_steps=60_000,
         ),
         "hour": Preset(
-            seeds=(0,), episodes=240, corrections=2, corrected_episodes=60, steps=1500, validation=18, open_loop=40,
+            seeds=(0,), episodes=240, dagger_rounds=2, dagger_episodes=60, steps=1500, validation=18, open_loop=40,
             scored=150, swept=24, sweep_points=ENDS, ppo_steps=60_000,
         ),
         "full": Preset(
-            seeds=(0, 1, 2), episodes=1500, corrections=2, corrected_episodes=400, steps=2400, validation=60,
+            seeds=(0, 1, 2), episodes=1500, dagger_rounds=2, dagger_episodes=400, steps=2400, validation=60,
             open_loop=100, scored=500, swept=SWEPT, sweep_points=EVERY, ppo_steps=300_000,
         ),
     }

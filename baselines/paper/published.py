@@ -14,7 +14,7 @@ class Published(NamedTuple):
     """One row of a table of the paper."""
 
     title: str
-    contender: str  # the row of ours that stands for it
+    method: str  # the row of ours that stands for it
     package: str  # as printed
     scores: tuple[float, ...]  # AD and EAR of each scene, in their order
 

@@ -26,7 +26,7 @@ MAIN = "dsrc"  # the radio that comes first
 SIZES = ("budget", "depth")  # the sweeps of what the graph may cost
 
 Closed = Mapping[str, Mapping[str, list[ClosedRow]]]  # radio -> scenario
-Swept = Mapping[str, Mapping[str, Mapping[str, Mapping[str, ClosedRow]]]]  # name -> scenario -> value -> contender
+Swept = Mapping[str, Mapping[str, Mapping[str, Mapping[str, ClosedRow]]]]  # name -> scenario -> value -> method
 
 
 THRESHOLDS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of OURS, in open loop
@@ -67,22 +67,22 @@ def write(folder: Path, command: str = "") -> Path:
 def found_in(run: Run) -> Findings:
     """All numbers, without a picture."""
     scores = {
-        scenario: {name: open_score(loops, np.random.default_rng(CHANCE)) for name, loops in contenders.items()}
-        for scenario, contenders in run.open.items()
+        scenario: {name: open_score(loops, np.random.default_rng(CHANCE)) for name, loops in methods.items()}
+        for scenario, methods in run.open.items()
     }
     closed: dict[str, dict[str, list[ClosedRow]]] = {}
     said: list[Order] = []
     for radio in sorted(run.closed, key=lambda radio: (radio != MAIN, radio)):
-        for scenario, contenders in run.closed[radio].items():
-            rows = [closed_row(radio, scenario, name, each, run.expert(scenario)) for name, each in contenders.items()]
+        for scenario, methods in run.closed[radio].items():
+            rows = [closed_row(radio, scenario, name, each, run.expert(scenario)) for name, each in methods.items()]
             closed.setdefault(radio, {})[scenario] = rows
-            ours = contenders.get(OURS) or run.closed.get(MAIN, {}).get(scenario, {}).get(OURS)
+            ours = methods.get(OURS) or run.closed.get(MAIN, {}).get(scenario, {}).get(OURS)
             if ours:
-                closed[radio][scenario] = compared(rows, ours, contenders)
-                known = [closed_row(MAIN, scenario, OURS, ours, {})] if OURS not in contenders else []
-                said += orders([*rows, *known], {**contenders, OURS: ours})
+                closed[radio][scenario] = compared(rows, ours, methods)
+                known = [closed_row(MAIN, scenario, OURS, ours, {})] if OURS not in methods else []
+                said += orders([*rows, *known], {**methods, OURS: ours})
             else:
-                said += orders(rows, contenders)
+                said += orders(rows, methods)
     sweeps: dict[str, dict[str, dict[str, dict[str, ClosedRow]]]] = {}
     for name, values in run.sweeps.items():
         for value, swept in values.items():
@@ -98,7 +98,7 @@ def found_in(run: Run) -> Findings:
 
 def _by_threshold(run: Run) -> dict[str, dict[str, OpenScore]]:
     """OURS in open loop, by scenario and threshold."""
-    ours = {scenario: contenders[OURS] for scenario, contenders in run.open.items() if OURS in contenders}
+    ours = {scenario: methods[OURS] for scenario, methods in run.open.items() if OURS in methods}
     return {
         scenario: {
             f"{limit:g}": open_score(
@@ -144,7 +144,7 @@ def _beside(findings: Findings) -> str:
         lines += ["The paper's F/D (against compressed features) is 104.08 for the size; as ratios here:", ratios]
     lines += ["### Table III", tables.beside_table(published.TABLE_3, findings.open, packages=False)]
     absent = sorted(
-        {row.contender for row in (*published.TABLE_2, *published.TABLE_3)}
+        {row.method for row in (*published.TABLE_2, *published.TABLE_3)}
         - {name for scores in findings.open.values() for name in scores}
     )
     return "\n\n".join([*lines, *([_missing(f"open-loop measurement of {', '.join(absent)}")] if absent else [])])
@@ -155,7 +155,7 @@ def _closed_loop(run: Run, findings: Findings) -> str:
     if not findings.closed:
         return "\n\n".join([*lines, _missing("closed loop")])
     lines.append(
-        "All rows of a scene drive the same seeds. Rows that share nothing are the same over any radio. McNemar's "
+        "All rows of a scene drive the same seeds. RowsByMethod that share nothing are the same over any radio. McNemar's "
         "exact test is on the successes of the same episodes, the largest p of all training seeds, after Holm "
         "over the rows of a table. Over a radio that `stgraph` was not driven over, rows are compared with its "
         "episodes over `dsrc`. A difference has an interval without width where no episode tells the two rows apart: "
@@ -247,7 +247,7 @@ def _open_loop(findings: Findings) -> str:
         lines += [
             f"### {spoken(scenario)}",
             f"{some.episodes} held-out episodes that the expert drives, {some.frames:,} frames, in "
-            f"{100 * some.brake_share:.1f} % of which it brakes; bootstrap over episodes. Radio: what the contender's "
+            f"{100 * some.brake_share:.1f} % of which it brakes; bootstrap over episodes. Radio: what the method's "
             "messages went over; the world is the expert's and the same for all.",
             tables.open_table(scores),
         ]

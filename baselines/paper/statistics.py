@@ -1,6 +1,6 @@
-"""Intervals and tests for contenders that are scored on the same episodes: pure functions, chance is an argument.
+"""Intervals and tests for methods that are scored on the same episodes: pure functions, chance is an argument.
 
-The outcomes of a contender are an array (S, E): S training seeds (one where nothing is trained) times the same E
+The outcomes of a method are an array (S, E): S training seeds (one where nothing is trained) times the same E
 episodes. Every training seed drives the same episodes, so a bootstrap draws training seeds and, once for all of them,
 episodes (the crossed bootstrap: A. B. Owen, "The pigeonhole bootstrap", Annals of Applied Statistics 1, 2007). Frames
 are never drawn by themselves: at 10 Hz a frame says little that the one before it did not.
@@ -24,7 +24,7 @@ _Z = 1.959963984540054  # the 97.5th percentile of the normal distribution
 
 @dataclass(frozen=True)
 class Mcnemar:
-    """Two contenders on the same episodes: who alone succeeded how often, and the exact two-sided p."""
+    """Two methods on the same episodes: who alone succeeded how often, and the exact two-sided p."""
 
     first_only: int
     second_only: int
@@ -45,7 +45,7 @@ def mcnemar(first: Bools, second: Bools) -> Mcnemar:
 
 
 def mcnemar_of_seeds(first: Bools, second: Bools) -> Mcnemar:
-    """Of two contenders, (S, E) and (R, E), the test with the largest p among their training seeds.
+    """Of two methods, (S, E) and (R, E), the test with the largest p among their training seeds.
 
     Both with several seeds are paired seed by seed, in their order; one with a single seed meets all of the other. A
     small p then speaks for every training seed, not for a lucky one.

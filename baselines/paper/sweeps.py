@@ -12,7 +12,7 @@ from typing import Any
 
 COMPARED = ("stgraph", "collab-gat", "compressed")  # whose robustness is shown
 GRAPH = ("stgraph",)
-EPISODES = 200  # of each scene and contender at a point, at least, in a full run
+EPISODES = 200  # of each scene and method at a point, at least, in a full run
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class SweepPoint:
 
     name: str
     value: str  # its folder, and its place on the axis where it is a number
-    contenders: tuple[str, ...]
+    methods: tuple[str, ...]
     overrides: Mapping[str, Any]  # of baselines.evaluation.settings.Settings
 
     @property
@@ -40,10 +40,10 @@ class Sweep:
 
 
 def _sweep(
-    name: str, label: str, values: Sequence[Any], *settings: str, contenders: tuple[str, ...] = COMPARED, **fixed: Any
+    name: str, label: str, values: Sequence[Any], *settings: str, methods: tuple[str, ...] = COMPARED, **fixed: Any
 ) -> Sweep:
     points = (
-        SweepPoint(name, f"{value}", contenders, MappingProxyType({**fixed, **dict.fromkeys(settings, value)}))
+        SweepPoint(name, f"{value}", methods, MappingProxyType({**fixed, **dict.fromkeys(settings, value)}))
         for value in values
     )
     return Sweep(name, label, tuple(points))
@@ -65,9 +65,9 @@ SWEEPS: Mapping[str, Sweep] = MappingProxyType(
             _sweep("traffic", "traffic", ("none", "light", "dense"), "traffic"),
             _sweep(
                 "budget", "budget of a sender, bytes in 0.1 s (refused whole above)",
-                (64, 128, 192, 256, 384, 512, 768, 1000, 25_000), "budget", contenders=GRAPH,
+                (64, 128, 192, 256, 384, 512, 768, 1000, 25_000), "budget", methods=GRAPH,
             ),
-            _sweep("depth", "newest frames in a message", (1, 2, 3, 5, 8, 15), "depth", contenders=GRAPH),
+            _sweep("depth", "newest frames in a message", (1, 2, 3, 5, 8, 15), "depth", methods=GRAPH),
         )
     }
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Rows -> tables in Markdown: rates in per cent, each with its 95 % interval, a dash where there is no value."""
+"""RowsByMethod -> tables in Markdown: rates in per cent, each with its 95 % interval, a dash where there is no value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from baselines.paper.open_metrics import OpenScore
 from baselines.paper.published import SCENES, Published
 from cad_env.scoring.interval import Estimate
 
-Scores = Mapping[str, Mapping[str, OpenScore]]  # scenario -> contender
+Scores = Mapping[str, Mapping[str, OpenScore]]  # scenario -> method
 NONE = "-"
 
 
@@ -68,8 +68,8 @@ def beside_table(published: Sequence[Published], scores: Scores, packages: bool)
     head += [f"{what}, {spoken(scene).lower()}: paper / ours" for scene in SCENES for what in ("AD", "EAR")]
     rows = []
     for row in published:
-        ours = [scores.get(scene, {}).get(row.contender) for scene in SCENES]
-        cells = [row.title, row.contender, *([row.package, _packages(ours)] if packages else [])]
+        ours = [scores.get(scene, {}).get(row.method) for scene in SCENES]
+        cells = [row.title, row.method, *([row.package, _packages(ours)] if packages else [])]
         for scene, score in zip(SCENES, ours, strict=True):
             for paper, found in zip(row.of(scene), (score.ad, score.ear) if score else (None, None), strict=True):
                 cells.append(f"{paper:.4f} / {share(found)}")
@@ -133,7 +133,7 @@ def open_table(scores: Mapping[str, OpenScore]) -> str:
 
 
 def threshold_table(scores: Mapping[str, OpenScore]) -> str:
-    """One contender in a scene in open loop, by the threshold from which it brakes."""
+    """One method in a scene in open loop, by the threshold from which it brakes."""
     what = ("ad", "ear", "precision", "f1", "false_brake_rate")
     rows = [[limit, *(share(getattr(score, name)) for name in what)] for limit, score in scores.items()]
     return markdown(("threshold", "AD (recall)", "EAR (accuracy)", "precision", "F1", "false brakes"), rows)
@@ -148,7 +148,7 @@ def outcome_table(rows: Sequence[ClosedRow]) -> str:
     )  # fmt: skip
     cells = [
         [
-            _bold(row.contender), str(row.training_seeds), str(row.episodes), percent(row.collision),
+            _bold(row.method), str(row.training_seeds), str(row.episodes), percent(row.collision),
             percent(row.success), percent(row.timeout), _spread(row.collision_spread, 100, 1),
             _spread(row.success_spread, 100, 1), percent(row.advantage),
             NONE if row.test is None else f"{row.test.first_only} / {row.test.second_only}", small(row.adjusted_p),
@@ -167,7 +167,7 @@ def manner_table(rows: Sequence[ClosedRow]) -> str:
     )  # fmt: skip
     cells = [
         [
-            _bold(row.contender), share(row.sct), _time(row.mean_time), _time(row.calm_time), percent(row.needless),
+            _bold(row.method), share(row.sct), _time(row.mean_time), _time(row.calm_time), percent(row.needless),
             number(row.needless_decisions, 1), percent(row.hard_brakes), number(row.min_ttc, 2),
             number(row.bytes_per_message), number(row.largest_message), number(row.bytes_per_second / 1000, 1),
             NONE if row.lost is None else f"{100 * row.lost:.1f}",
@@ -195,13 +195,13 @@ def order_table(orders: Sequence[Order]) -> str:
 
 
 def sweep_table(values: Mapping[str, Mapping[str, ClosedRow]], name: str) -> str:
-    """One scene of a sweep, value -> contender -> row: success and collision at every point."""
-    contenders = list(dict.fromkeys(contender for rows in values.values() for contender in rows))
-    head = [name, "episodes", *(f"{who}: {what}" for who in contenders for what in ("success %", "collision %"))]
-    head += [f"{who}: bytes/message, kB/s" for who in contenders]
+    """One scene of a sweep, value -> method -> row: success and collision at every point."""
+    methods = list(dict.fromkeys(method for rows in values.values() for method in rows))
+    head = [name, "episodes", *(f"{who}: {what}" for who in methods for what in ("success %", "collision %"))]
+    head += [f"{who}: bytes/message, kB/s" for who in methods]
     cells = []
     for value, rows in values.items():
-        there = [rows.get(who) for who in contenders]
+        there = [rows.get(who) for who in methods]
         line = [value, str(max(row.episodes for row in rows.values()))]
         line += [percent(getattr(row, what, None)) for row in there for what in ("success", "collision")]
         line += [

@@ -13,9 +13,9 @@ from types import MappingProxyType
 from baselines.evaluation.grid import Key, shard_of
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import EPISODES, difference, key_of, read_records, read_settings
-from baselines.learned import ROWS, radio_of
-from baselines.methods import CONTENDERS, contender_named
-from baselines.paper.folder import ROWS as TABLE
+from baselines.learned import LEARNED, radio_of
+from baselines.methods import METHODS, method_named
+from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.open_loop import FIRST_SEED, measure, open_path, read_open_loop, write_open_loop
 from baselines.paper.presets import ENDS, Preset
 from baselines.paper.sweeps import SweepPoint, points
@@ -25,7 +25,7 @@ from cad_env.scoring.scorecard import Record
 RADIO = "dsrc"
 SPARE = "ideal"  # what rows are scored over as well whose messages are too large for the other
 LARGE = ("points", "features")
-RECORDING, MODELS, PARTS = "recording", "models", "parts"
+DEMONSTRATIONS, MODELS, PARTS = "demonstrations", "models", "parts"
 PPO = "ppo"  # the one learned row that is not taught by the expert
 EPISODE, DECISION = 1.6, 0.05  # work of an episode that is driven and of PPO's decision; an optimiser step is 1
 
@@ -39,14 +39,14 @@ class Plan:
     out: Path
     preset: Preset
     scenarios: tuple[str, ...]
-    rows: tuple[str, ...]  # contenders, in the order of the tables
+    rows: tuple[str, ...]  # methods, in the order of the tables
 
     def budget(self) -> Budget:
         """What the training of a row may cost."""
         made = self.preset
         return Budget(
-            self.scenarios, RADIO, made.episodes, made.corrections, made.steps, made.validation,
-            made.corrected_episodes,
+            self.scenarios, RADIO, made.episodes, made.dagger_rounds, made.steps, made.validation,
+            made.dagger_episodes,
         )  # fmt: skip
 
     def models(self, seed: int) -> Path:
@@ -54,17 +54,17 @@ class Plan:
         return self.out / MODELS / f"seed_{seed}"
 
     def settings(self, row: str, seed: int, out: Path, **overrides: object) -> Settings:
-        """A run of evaluate.py of one contender."""
+        """A run of evaluate.py of one method."""
         options = {"radio": RADIO, "episodes": self.preset.scored, **overrides}
         return Settings(
-            scenario=self.scenarios, contender=(row,), out=out, report=False,
-            policy=(self.models(seed),) if contender_named(row).model else (), **options,  # type: ignore[arg-type]
+            scenario=self.scenarios, method=(row,), out=out, report=False,
+            models=(self.models(seed),) if method_named(row).model else (), **options,  # type: ignore[arg-type]
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Task:
-    """A piece of work of one contender and training seed."""
+    """A piece of work of one method and training seed."""
 
     stage: str  # of STAGES
     row: str
@@ -76,14 +76,14 @@ class Task:
 
 
 def in_table() -> tuple[str, ...]:
-    """All contenders that have a line in the tables, in their order."""
-    return tuple(name for name in TABLE if name in CONTENDERS)
+    """All methods that have a line in the tables, in their order."""
+    return tuple(name for name in TABLE_ORDER if name in METHODS)
 
 
 def every_unit(plan: Plan) -> list[tuple[str, int]]:
-    """Every contender and training seed, as the tables go; one that is not trained comes once."""
+    """Every method and training seed, as the tables go; one that is not trained comes once."""
     seeds = plan.preset.seeds
-    return [(name, seed) for name in plan.rows for seed in (seeds if contender_named(name).model else seeds[:1])]
+    return [(name, seed) for name in plan.rows for seed in (seeds if method_named(name).model else seeds[:1])]
 
 
 def units(plan: Plan, shard: str | None = None) -> list[tuple[str, int]]:
@@ -108,13 +108,13 @@ def _work(plan: Plan, unit: tuple[str, int]) -> float:
 
 
 def training(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
-    """What must be done before a contender can drive."""
-    if contender_named(unit[0]).model:
+    """What must be done before a method can drive."""
+    if method_named(unit[0]).model:
         yield Task("train", *unit)
 
 
 def measuring(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
-    """What is measured of a contender; sweeps are of the first training seed."""
+    """What is measured of a method; sweeps are of the first training seed."""
     row, seed = unit
     for radio in (RADIO, SPARE) if _is_large(row) else (RADIO,):
         yield Task("closed", row, seed, radio)
@@ -122,7 +122,7 @@ def measuring(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
         yield Task("open", row, seed, scenario)
     if seed == plan.preset.seeds[0] and plan.preset.swept:
         for point in swept(plan.preset):
-            if row in point.contenders:
+            if row in point.methods:
                 yield Task("sweep", row, seed, point.folder)
 
 
@@ -132,7 +132,7 @@ def swept(preset: Preset) -> list[SweepPoint]:
 
 
 def _is_large(row: str) -> bool:
-    return row in ROWS and ROWS[row].shares in LARGE
+    return row in LEARNED and LEARNED[row].shares in LARGE
 
 
 def work_of(plan: Plan, task: Task) -> float:
@@ -140,14 +140,14 @@ def work_of(plan: Plan, task: Task) -> float:
     if task.stage == "train":
         if task.row == PPO:
             return DECISION * plan.preset.ppo_steps
-        return _cost(task.row) * course_of(ROWS[task.row], task.seed, plan.budget()).work()
+        return _cost(task.row) * course_of(LEARNED[task.row], task.seed, plan.budget()).work()
     made, scenes = plan.preset, len(plan.scenarios)
     episodes = {"open": made.open_loop, "closed": made.scored * scenes, "sweep": made.swept * scenes}
     return _cost(task.row) * EPISODE * episodes[task.stage]
 
 
 def _cost(row: str) -> float:
-    return ROWS[row].cost if row in ROWS else 1.0
+    return LEARNED[row].cost if row in LEARNED else 1.0
 
 
 def perform(plan: Plan, task: Task, advance: Advance) -> None:
@@ -161,8 +161,8 @@ def _train(plan: Plan, task: Task, advance: Advance) -> None:
         folder = plan.models(task.seed) / PPO
         learn_by_trial(folder, plan.preset.ppo_steps, task.seed, plan.scenarios, lambda done: advance(DECISION * done))
         return
-    lesson = Lesson(task.row, task.seed, plan.models(task.seed), plan.out / RECORDING)
-    learn(lesson, course_of(ROWS[task.row], task.seed, plan.budget()), advance)
+    lesson = Lesson(task.row, task.seed, plan.models(task.seed), plan.out / DEMONSTRATIONS)
+    learn(lesson, course_of(LEARNED[task.row], task.seed, plan.budget()), advance)
 
 
 def answered(plan: Plan, task: Task) -> bool:
@@ -186,14 +186,14 @@ def _open(plan: Plan, task: Task, advance: Advance) -> None:
 
     if not answered(plan, task):
         settings, seeds = _asking(plan, task), range(FIRST_SEED, FIRST_SEED + plan.preset.open_loop)
-        found = measure(contender_named(task.row), settings, task.what, seeds)
+        found = measure(method_named(task.row), settings, task.what, seeds)
         path = open_path(plan.out, task.seed, task.what, task.row)
         write_open_loop(path, replace(found, made_with=digest_of(settings)))
     advance(EPISODE * plan.preset.open_loop)
 
 
 def table_of(task: Task) -> str:
-    """The folder, below that of the run, in which the contenders of such a task stand side by side."""
+    """The folder, below that of the run, in which the methods of such a task stand side by side."""
     return f"closed/{task.what}/{task.seed}" if task.stage == "closed" else task.what
 
 

@@ -10,14 +10,14 @@ from typing import Any
 from baselines.cli import BAR, parsed, refused, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import Settings
-from baselines.learned import radio_of, row_named
+from baselines.learned import learned_named, radio_of
 from baselines.training.config import Budget, Lesson, claim, course_of, learn
 from cad_env.config import check_range, radio_config
 
 ALL = ("all",)
 
 
-ROWS = ("stgraph", "stgraph-own")
+MAIN_METHODS = ("stgraph", "stgraph-own")
 
 
 RULES = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # whom the rows are scored beside
@@ -28,28 +28,28 @@ class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
     scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
-    row: tuple[str, ...] = ROWS  # which rows of the table (baselines/learned.py)
+    method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/learned.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
     episodes: int = 1500  # of each scenario, driven by the expert
-    corrections: int = 2  # rounds in which the network drives and the expert labels (DAgger)
+    dagger_rounds: int = 2  # rounds in which the network drives and the expert labels (DAgger)
     mixing: float = 0.0  # share of the decisions that the expert takes in the first of these; of the n-th: to the n
     steps: int = 2400  # optimiser steps of the first round; later rounds take half as many
     validation: int = 60  # closed-loop episodes of each scenario after each third of a round, to choose a checkpoint
     seed: tuple[int, ...] = (0,)  # of the networks and of all that is drawn while training; several: one run for each
-    score: int = 300  # episodes per contender and scenario at the end; 0 trains only
+    score: int = 300  # episodes per method and scenario at the end; 0 trains only
     jobs: int = 2  # processes
     velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
 
     def __post_init__(self) -> None:
         if radio_config(self.radio).budget == 0.0:
             raise ValueError(f"radio must be one that carries something, got {self.radio!r}")
-        for what in ("row", "seed"):
+        for what in ("method", "seed"):
             given = getattr(self, what)
             if not given or len(set(given)) < len(given):
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(map(str, given))!r}")
-        for name in self.row:
-            if self.velocity and row_named(name).family != "stgraph":
+        for name in self.method:
+            if self.velocity and learned_named(name).spec != "stgraph":
                 raise ValueError(f"velocity is for rows of the paper's network, and {name} is not one")
         check_range("score", self.score, 0, 1_000_000)
         check_range("jobs", self.jobs, 1, 64)
@@ -72,18 +72,21 @@ class TrainSettings:
     def budget(self) -> Budget:
         """What every row may cost."""
         return Budget(
-            self.scenarios(), self.radio, self.episodes, self.corrections, self.steps, self.validation,
+            self.scenarios(), self.radio, self.episodes, self.dagger_rounds, self.steps, self.validation,
             mixing=self.mixing,
         )  # fmt: skip
 
     def lessons(self) -> list[tuple[Lesson, Any]]:
         """Every row and seed, with its course; ValueError for one that is impossible."""
         knobs = {"velocity": True} if self.velocity else {}
-        recordings, budget = self.folder() / "recording", self.budget()
+        demonstrations, budget = self.folder() / "demonstrations", self.budget()
         return [
-            (Lesson(row, seed, self.models(seed), recordings), course_of(row_named(row), seed, budget, knobs))
+            (
+                Lesson(method, seed, self.models(seed), demonstrations),
+                course_of(learned_named(method), seed, budget, knobs),
+            )
             for seed in self.seed
-            for row in self.row
+            for method in self.method
         ]
 
     def scoring(self) -> list[Settings]:
@@ -95,11 +98,11 @@ class TrainSettings:
 
         found = []
         for radio, rows in self._rows_by_radio().items():
-            asked = "" if rows == ROWS else f"_{'+'.join(rows)}"
+            asked = "" if rows == MAIN_METHODS else f"_{'+'.join(rows)}"
             scores = self.folder() / f"scores_{self.score}{asked}_{version()}"
             found.append(
                 Settings(
-                    scenario=self.scenarios(), contender=(*RULES, *rows), policy=tuple(map(self.models, self.seed)),
+                    scenario=self.scenarios(), method=(*RULES, *rows), models=tuple(map(self.models, self.seed)),
                     episodes=max(self.score, 1), jobs=self.jobs, out=scores, radio=radio,
                 )
             )  # fmt: skip
@@ -107,7 +110,7 @@ class TrainSettings:
 
     def _rows_by_radio(self) -> dict[str, tuple[str, ...]]:
         found: dict[str, tuple[str, ...]] = {}
-        for name in self.row:
+        for name in self.method:
             radio = radio_of(name, self.radio)
             found[radio] = (*found.get(radio, ()), name)
         return found
@@ -141,23 +144,23 @@ def train_all(settings: TrainSettings, lessons: Sequence[tuple[Lesson, Any]]) ->
 
     from baselines.workers import workers
 
-    scenes, folder = settings.scenarios(), settings.folder() / "recording"
+    scenes, folder = settings.scenarios(), settings.folder() / "demonstrations"
     total = settings.episodes * len(scenes) + sum(course.work() for _, course in lessons)
     with (
-        workers(min(settings.jobs, max(len(lessons), len(scenes)))) as (pool, told),
+        workers(min(settings.jobs, max(len(lessons), len(scenes)))) as (pool, progress),
         tqdm(total=total, desc="training", bar_format=BAR, disable=None) as bar,
     ):
-        _wait_for([pool.submit(_record, folder, scene, settings.episodes) for scene in scenes], told, bar)
-        _wait_for([pool.submit(_learn, lesson, course) for lesson, course in lessons], told, bar)
+        _wait_for([pool.submit(_record, folder, scene, settings.episodes) for scene in scenes], progress, bar)
+        _wait_for([pool.submit(_learn, lesson, course) for lesson, course in lessons], progress, bar)
 
 
-def _wait_for(running: "Sequence[Future[None]]", told: Any, bar: Any) -> None:
+def _wait_for(running: "Sequence[Future[None]]", progress: Any, bar: Any) -> None:
     from baselines.workers import heard
 
     while not all(future.done() for future in running):
-        bar.update(sum(heard(told)))
+        bar.update(sum(heard(progress)))
         _raise_if_failed(running)
-    bar.update(sum(heard(told)))
+    bar.update(sum(heard(progress)))
     _raise_if_failed(running)
 
 
@@ -169,9 +172,9 @@ def _raise_if_failed(running: Sequence[Future[None]]) -> None:
 
 def _record(folder: Path, scenario: str, episodes: int) -> None:
     from baselines.workers import tell
-    from policies.training.dagger import record_expert
+    from policies.training.dagger import record_demonstrations
 
-    record_expert(folder, scenario, episodes, tell)
+    record_demonstrations(folder, scenario, episodes, tell)
 
 
 def _learn(lesson: Lesson, course: Any) -> None:

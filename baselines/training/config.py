@@ -6,9 +6,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from baselines.learned import Row, row_named
+from baselines.learned import LearnedMethod, learned_named
 from cad_env.files import replace_file
-from policies.registry import family_named
+from policies.registry import spec_named
 
 if TYPE_CHECKING:
     from policies.training.dagger import Course
@@ -24,10 +24,10 @@ class Budget:
     scenarios: tuple[str, ...]
     radio: str  # that of the rows that share and name no other
     episodes: int  # driven by the expert
-    corrections: int  # DAgger rounds, of the rows that name no other number
+    dagger_rounds: int  # DAgger rounds, of the rows that name no other number
     steps: int  # optimiser steps of the first round; later rounds take half as many
     validation: int  # closed-loop episodes after each third of a round
-    corrected_episodes: int = 400  # in each DAgger round
+    dagger_episodes: int = 400  # in each DAgger round
     mixing: float = 0.0  # share of the decisions that the expert takes in the first DAgger round
 
 
@@ -38,28 +38,28 @@ class Lesson:
     row: str
     seed: int
     models: Path  # its own folder is in there
-    recordings: Path  # of the expert, shared by all lessons
+    demonstrations: Path  # of the expert, shared by all lessons
 
     @property
     def folder(self) -> Path:
         """Where the model goes."""
-        return self.models / row_named(self.row).model
+        return self.models / learned_named(self.row).model
 
 
-def course_of(row: Row, seed: int, budget: Budget, knobs: Mapping[str, Any] | None = None) -> "Course":
+def course_of(row: LearnedMethod, seed: int, budget: Budget, knobs: Mapping[str, Any] | None = None) -> "Course":
     """How a row is trained; ValueError for what is impossible. `knobs` of the network go before those of the row."""
     from policies.training.cloning import Recipe  # here, because torch takes a second that --help need not wait
     from policies.training.dagger import Course
 
     radio = "none" if row.shares == "nothing" else row.radio or budget.radio
-    network = family_named(row.family).config_type(**{**row.config, **(knobs or {})})
+    network = spec_named(row.spec).config_type(**{**row.config, **(knobs or {})})
     validation = budget.validation if row.most_validated is None else min(budget.validation, row.most_validated)
     return Course(
         scenarios=budget.scenarios, radio=radio, depth=row.depth, seed=seed, episodes=budget.episodes,
-        corrections=budget.corrections if row.corrections is None else row.corrections,
-        corrected_episodes=budget.corrected_episodes, mixing=budget.mixing,
+        dagger_rounds=budget.dagger_rounds if row.dagger_rounds is None else row.dagger_rounds,
+        dagger_episodes=budget.dagger_episodes, mixing=budget.mixing,
         steps=max(round(row.pace * budget.steps), 3), validation=validation, final_validation=validation * 5 // 3,
-        family=row.family, network=network, recipe=Recipe(**row.recipe),
+        spec=row.spec, network=network, recipe=Recipe(**row.recipe),
     )  # fmt: skip
 
 
@@ -95,4 +95,4 @@ def learn(lesson: Lesson, course: "Course", advance: Advance) -> None:
     from policies.training.dagger import train
 
     claim(lesson.folder, course)
-    train(course, lesson.folder, advance, family_named, lesson.recordings)
+    train(course, lesson.folder, advance, lesson.demonstrations)

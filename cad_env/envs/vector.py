@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from cad_env.config import check_names
 from cad_env.envs.single import checked_hazard
 from cad_env.lidar.config import space_with
-from cad_env.simulation.batch import Ensemble, masked
+from cad_env.simulation.batch import SceneBatch, masked
 from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
 from cad_env.simulation.setup import setup_from
 from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
@@ -54,7 +54,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         if not names:
             raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]
-        self.ensemble = Ensemble([setups[place % len(setups)] for place in range(num_envs)])
+        self.batch = SceneBatch([setups[place % len(setups)] for place in range(num_envs)])
         self.single_observation_space: spaces.Dict = space_with(setups[0].cloud)
         self.single_action_space: spaces.Discrete = spaces.Discrete(2)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -92,10 +92,10 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         if self.autoreset_mode == AutoresetMode.DISABLED and over.any():
             raise RuntimeError(f"the episodes of the scenes {np.flatnonzero(over).tolist()} are over: reset them first")
         going = np.flatnonzero(~over)
-        self.ensemble.step(going, chosen[going])
+        self.batch.step(going, chosen[going])
         for place in np.flatnonzero(over).tolist():
             self._start(place)
-        rewards, outcomes = self.ensemble.rewards.copy(), self.ensemble.outcomes
+        rewards, outcomes = self.batch.rewards.copy(), self.batch.outcomes
         truncations = outcomes == TIMED_OUT
         terminations = (outcomes != UNDER_WAY) & ~truncations
         self._over = terminations | truncations
@@ -106,7 +106,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         """Start the scenes that are over; what there was to see and to say at their end."""
         ended, seen = self._over.copy(), np.full(self.num_envs, None, object)
         for place in np.flatnonzero(ended).tolist():
-            seen[place] = self.ensemble.observation(place)
+            seen[place] = self.batch.observation(place)
         said = self._infos(ended)
         for place in np.flatnonzero(ended).tolist():
             self._start(place)
@@ -118,16 +118,16 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         if seed is not None or chance is None:
             chance, _ = np_random(seed)
             self._chance[place] = chance
-        self.ensemble.start(place, int(chance.integers(2**31)) if seed is None else seed, hazard)
+        self.batch.start(place, int(chance.integers(2**31)) if seed is None else seed, hazard)
         self._over[place] = False
 
     def _observations(self) -> Observation:
-        seen = self.ensemble.observations
+        seen = self.batch.observations
         return {name: part.copy() for name, part in seen.items()} if self.copy else dict(seen)
 
     def _infos(self, which: Bools) -> dict[str, Any]:
-        lists = self.ensemble.object_lists(which) if self._object_lists else {}
-        return {**self.ensemble.infos(which), **lists}
+        lists = self.batch.object_lists(which) if self._object_lists else {}
+        return {**self.batch.infos(which), **lists}
 
     def _check_started(self) -> None:
         if not self._started:

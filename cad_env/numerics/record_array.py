@@ -1,7 +1,7 @@
-"""Records of arrays on a shelf: bytes, from which compiled code takes any of them without a call of its own.
+"""Records of arrays on a records: bytes, from which compiled code takes any of them without a call of its own.
 
 Numba hands a record of a hundred arrays over one by one, which takes 20 us from Python, and counts references to each
-whenever it takes one out of another, some thousand times in a step. From a shelf a record is *borrowed*: it is where
+whenever it takes one out of another, some thousand times in a step. From a records a record is *borrowed*: it is where
 its arrays are and of what shape, and nobody counts. The bytes keep alive whoever has lent them an array.
 """
 
@@ -18,10 +18,10 @@ from numba.extending import intrinsic
 from cad_env.numerics.jit import compiled
 
 
-def _address(context: Any, builder: Any, kind: Any, shelf_kind: Any, shelf: Any, place: Any) -> Any:
+def _address(context: Any, builder: Any, kind: Any, array_kind: Any, records: Any, place: Any) -> Any:
     """Where the record of a place begins, as a pointer to it."""
     stored = context.get_data_type(kind)
-    array = context.make_array(shelf_kind)(context, builder, shelf)
+    array = context.make_array(array_kind)(context, builder, records)
     first = builder.bitcast(array.data, stored.as_pointer())
     return builder.gep(first, [place])
 
@@ -43,23 +43,23 @@ def _load(context: Any, builder: Any, kind: Any, pointer: Any) -> Any:
     return value
 
 
-def _lend(typing: Any, shelf: Any, place: Any, kind: Any) -> Any:
+def _lend(typing: Any, records: Any, place: Any, kind: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         record = signature.return_type
-        return _load(context, builder, record, _address(context, builder, record, shelf, *values[:2]))
+        return _load(context, builder, record, _address(context, builder, record, records, *values[:2]))
 
-    return kind.instance_type(shelf, types.intp, kind), generate
+    return kind.instance_type(records, types.intp, kind), generate
 
 
-def _store(typing: Any, shelf: Any, place: Any, kind: Any, record: Any) -> Any:
+def _store(typing: Any, records: Any, place: Any, kind: Any, record: Any) -> Any:
     if record != kind.instance_type:
-        raise TypingError(f"this shelf is for {kind.instance_type}, not for {record}")
+        raise TypingError(f"this records is for {kind.instance_type}, not for {record}")
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        context.pack_value(builder, record, values[3], _address(context, builder, record, shelf, *values[:2]))
+        context.pack_value(builder, record, values[3], _address(context, builder, record, records, *values[:2]))
         return context.get_dummy_value()
 
-    return types.void(shelf, types.intp, kind, record), generate
+    return types.void(records, types.intp, kind, record), generate
 
 
 def _size(typing: Any, kind: Any) -> Any:
@@ -70,12 +70,12 @@ def _size(typing: Any, kind: Any) -> Any:
     return types.intp(kind), generate
 
 
-def _listed(shelf: Any, place: int, kind: Any) -> Any:
-    return shelf[place]
+def _listed(records: Any, place: int, kind: Any) -> Any:
+    return records[place]
 
 
-def _list(shelf: Any, place: int, kind: Any, record: Any) -> None:
-    shelf[place] = record
+def _list(records: Any, place: int, kind: Any, record: Any) -> None:
+    records[place] = record
 
 
 # For compiled code: the record of `kind`, a numba type, at a place; and put one there, of exactly this type.
@@ -97,10 +97,10 @@ class _Memory(bytearray):
     held: Any
 
 
-def new_shelf(kind: Any, places: int, lenders: dict[int, Any]) -> Any:
-    """An empty shelf for so many records of `kind`, which keeps alive all that is in `lenders` as long as itself.
+def new_record_array(kind: Any, places: int, lenders: dict[int, Any]) -> Any:
+    """An empty records for so many records of `kind`, which keeps alive all that is in `lenders` as long as itself.
 
-    Who puts a record at a place puts it into `lenders` too. In plain Python a shelf is a list.
+    Who puts a record at a place puts it into `lenders` too. In plain Python a records is a list.
     """
     if numba_config.DISABLE_JIT:
         return [None] * places

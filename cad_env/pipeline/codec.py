@@ -26,7 +26,7 @@ The CRC finds corruption. It is no authentication: anyone can write a message th
 import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part
-from cad_env.pipeline.graph_arrays import as_graph, empty_rows
+from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays
 from cad_env.pipeline.varint import (
     REACH,
     TRUNCATED,
@@ -46,10 +46,10 @@ from cad_env.pipeline.varint import (
     to_units,
     varies_along,
 )
-from cad_env.types import CAR, FRAMES, ROWS, TRUCK, Bytes, Graph, Ints, Rows
+from cad_env.types import CAR, FRAMES, MAX_TRACKS, TRUCK, Bytes, Graph, GraphArrays, Ints
 
 VERSION = 1
-MAX_TRACKS = 255
+FORMAT_TRACKS = 255  # that the format can count
 MAX_SENDER = 2**16 - 1
 MAX_TIME = 2**32 - 1  # ms
 MAX_ID = 2**31 - 1
@@ -71,7 +71,7 @@ def max_bytes(tracks: int) -> int:
     return _HEADER + tracks * (VARINT_BYTES + 2 + 3 * FRAMES * VARINT_BYTES) + _CRC
 
 
-MAX_BYTES = max_bytes(ROWS)
+MAX_BYTES = max_bytes(MAX_TRACKS)
 
 # What `read` answers, and why it refuses. 1 to 3 are the reasons of `codec_bits`.
 ACCEPTED, FORMAT, CORRUPT, CAPACITY, NO_NODE, IDENTITY, SPELLING, TRAILING = 0, 4, 5, 6, 7, 8, 9, 10
@@ -91,7 +91,7 @@ REASONS = (
 
 
 @compiled
-def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: Rows) -> int:
+def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: GraphArrays) -> int:
     """Write the newest `depth` frames of `rows` and answer the length; -1 if a node is not within REACH.
 
     `buffer` must hold MAX_BYTES, or `max_bytes(count)`. Sender, time and ids are the caller's to keep in range
@@ -122,7 +122,7 @@ def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: Rows) -> i
 
 
 @compiled
-def read(buffer: Bytes, length: int, header: Ints, rows: Rows) -> int:
+def read(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> int:
     """Read buffer[:length] into `header`, (3,) int64 sender, time in ms and depth, and `rows`; answers ACCEPTED.
 
     Any other answer is an index of REASONS and leaves no row in use. Absent nodes get position 0.
@@ -160,7 +160,7 @@ def _check_envelope(buffer: Bytes, length: int) -> int:
 
 
 @compiled_part
-def _take_track(buffer: Bytes, at: int, end: int, rows: Rows, row: int, depth: int, origin: Ints) -> int:
+def _take_track(buffer: Bytes, at: int, end: int, rows: GraphArrays, row: int, depth: int, origin: Ints) -> int:
     name, at = take_varint(buffer, at, end)
     if at < 0:
         return at
@@ -198,7 +198,7 @@ def encode(graph: Graph, depth: int = FRAMES) -> bytes:
     """
     _check_graph(graph, depth)
     buffer = np.empty(max_bytes(len(graph.track)), np.uint8)
-    rows = Rows(
+    rows = GraphArrays(
         np.array([len(graph.track)], np.int64),
         np.ascontiguousarray(graph.track, np.int64),
         np.ascontiguousarray(graph.position, np.float64),
@@ -211,10 +211,12 @@ def encode(graph: Graph, depth: int = FRAMES) -> bytes:
 
 def decode(payload: bytes) -> Graph:
     """The graph of a message; DecodeError for any bytes that `encode` does not write."""
-    if len(payload) > max_bytes(MAX_TRACKS):
-        raise DecodeError(f"message of {len(payload)} bytes refused: no graph takes more than {max_bytes(MAX_TRACKS)}")
+    if len(payload) > max_bytes(FORMAT_TRACKS):
+        raise DecodeError(
+            f"message of {len(payload)} bytes refused: no graph takes more than {max_bytes(FORMAT_TRACKS)}"
+        )
     buffer, header = np.array(bytearray(payload), np.uint8), np.zeros(3, np.int64)
-    rows = empty_rows(rows=MAX_TRACKS)
+    rows = empty_graph_arrays(rows=FORMAT_TRACKS)
     status = read(buffer, len(payload), header, rows)
     if status != ACCEPTED:
         raise DecodeError(f"message of {len(payload)} bytes refused: {REASONS[status]}")
@@ -226,7 +228,7 @@ def _check_graph(graph: Graph, depth: int) -> None:
     _check("depth", depth, 1, FRAMES)
     _check("sender", graph.sender, 0, MAX_SENDER)
     _check("time in ms", graph.time * 1000.0, 0, MAX_TIME)
-    _check("number of tracks", tracks, 0, MAX_TRACKS)
+    _check("number of tracks", tracks, 0, FORMAT_TRACKS)
     shapes = (graph.position.shape, graph.mask.shape, graph.kind.shape)
     if shapes != ((tracks, FRAMES, 3), (tracks, FRAMES), (tracks,)):
         raise ValueError(f"position, mask and kind of {tracks} tracks x {FRAMES} frames have the shapes {shapes}")

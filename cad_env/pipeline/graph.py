@@ -8,11 +8,11 @@ import numpy as np
 
 from cad_env.numerics.jit import inlined
 from cad_env.pipeline.graph_arrays import row_of
-from cad_env.types import FRAMES, STEP, Bools, Floats, Graph, Ints, Rows
+from cad_env.types import FRAMES, STEP, Bools, Floats, Graph, GraphArrays, Ints
 
 
 @inlined
-def add_body(rows: Rows, pose: Floats, height: float, kind: int) -> None:
+def add_body(rows: GraphArrays, pose: Floats, height: float, kind: int) -> None:
     """Note where the vehicle itself is in the newest frame. Call it first, so that the body is row 0."""
     i = row_of(rows, 0)
     rows.kind[i] = kind
@@ -23,7 +23,7 @@ def add_body(rows: Rows, pose: Floats, height: float, kind: int) -> None:
 
 
 @inlined
-def add_track(rows: Rows, track: int, kind: int, recent: Floats, recent_mask: Bools) -> None:
+def add_track(rows: GraphArrays, track: int, kind: int, recent: Floats, recent_mask: Bools) -> None:
     """Note a track's newest frames, (H, 3) and (H,): on its first entry all of them, later the newest alone."""
     known = rows.used[0]
     i = row_of(rows, track)

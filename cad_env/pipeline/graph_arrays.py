@@ -1,27 +1,27 @@
-"""Rows of tracks by frames: the arrays behind a Graph, and the few things every holder of them does."""
+"""GraphArrays of tracks by frames: the arrays behind a Graph, and the few things every holder of them does."""
 
 import numpy as np
 
 from cad_env.numerics.jit import compiled, inlined
-from cad_env.types import FRAMES, ROWS, Floats, Graph, Rows
+from cad_env.types import FRAMES, MAX_TRACKS, Floats, Graph, GraphArrays
 
 
-def empty_rows(*lead: int, rows: int = ROWS) -> Rows:
+def empty_graph_arrays(*lead: int, rows: int = MAX_TRACKS) -> GraphArrays:
     """A graph without nodes; leading dimensions stack graphs."""
-    return Rows(
+    return GraphArrays(
         np.zeros((*lead, 1), np.int64), np.zeros((*lead, rows), np.int64), np.zeros((*lead, rows, FRAMES, 3)),
         np.zeros((*lead, rows, FRAMES), np.bool_), np.zeros((*lead, rows), np.int8),
     )  # fmt: skip
 
 
 @inlined
-def flat_positions(rows: Rows) -> Floats:
+def flat_positions(rows: GraphArrays) -> Floats:
     """The positions as (R, T * 3): one plain loop over them moves many numbers at a time."""
     return rows.position.reshape(rows.position.shape[0], FRAMES * 3)
 
 
 @compiled
-def slide(rows: Rows) -> None:
+def slide(rows: GraphArrays) -> None:
     """One frame later: every node moves one column towards the past, and rows without nodes go."""
     flat = flat_positions(rows)
     kept = 0
@@ -41,7 +41,7 @@ def slide(rows: Rows) -> None:
 
 
 @inlined
-def row_of(rows: Rows, track: int) -> int:
+def row_of(rows: GraphArrays, track: int) -> int:
     """The row of a track id; a new empty row if it is unknown; -1 if the graph is full."""
     for i in range(rows.used[0]):
         if rows.track[i] == track:
@@ -55,7 +55,7 @@ def row_of(rows: Rows, track: int) -> int:
     return int(i)
 
 
-def as_graph(rows: Rows, sender: int, time: float) -> Graph:
+def as_graph(rows: GraphArrays, sender: int, time: float) -> Graph:
     """The rows in use as the noun that leaves this package."""
     n = int(rows.used[0])
     mask = rows.mask[:n].copy()

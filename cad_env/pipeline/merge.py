@@ -12,7 +12,7 @@ import numpy as np
 from cad_env.numerics.assignment import assign
 from cad_env.numerics.jit import compiled, inlined, inlined_part
 from cad_env.pipeline.graph_arrays import flat_positions, row_of
-from cad_env.types import FRAMES, Floats, Rows
+from cad_env.types import FRAMES, Floats, GraphArrays
 from cad_env.world.geometry import within
 
 GATE = 2.5  # m; closer than two vehicles can be, wider than two trackers disagree
@@ -20,7 +20,7 @@ EGO_RADIUS = 2.0  # m around itself in which the ego takes no node for another v
 
 
 @inlined
-def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
+def receive(kept: GraphArrays, message: GraphArrays, depth: int, age: int) -> None:
     """Take the newest `depth` frames of a message, `age` frames old, into the window kept of its sender."""
     into, said = flat_positions(kept), flat_positions(message)
     newest = FRAMES - 1 - age
@@ -40,13 +40,13 @@ def receive(kept: Rows, message: Rows, depth: int, age: int) -> None:
 
 
 @compiled
-def start_merge(merged: Rows, weight: Floats) -> None:
+def start_merge(merged: GraphArrays, weight: Floats) -> None:
     """Empty the merged graph. weight (M, T): how many vehicles saw a node, of the rows in use."""
     merged.used[0] = 0
 
 
 @compiled
-def take_in(merged: Rows, weight: Floats, rows: Rows, first: int, trail: Floats) -> None:
+def take_in(merged: GraphArrays, weight: Floats, rows: GraphArrays, first: int, trail: Floats) -> None:
     """Associate one vehicle's rows from `first` on with the merged graph, and fuse them by their mean.
 
     trail (T, 3): the ego's own pose in each frame; nodes within EGO_RADIUS of it are the ego, and are left out.
@@ -76,7 +76,7 @@ def take_in(merged: Rows, weight: Floats, rows: Rows, first: int, trail: Floats)
 
 
 @inlined_part
-def _disagreement(merged: Rows, weight: Floats, g: int, rows: Rows, i: int) -> float:
+def _disagreement(merged: GraphArrays, weight: Floats, g: int, rows: GraphArrays, i: int) -> float:
     """Root mean square distance in the plane over the frames both hold, m; inf if there is none."""
     total, common = 0.0, 0
     for back in range(FRAMES):
@@ -92,7 +92,7 @@ def _disagreement(merged: Rows, weight: Floats, g: int, rows: Rows, i: int) -> f
 
 
 @inlined_part
-def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Floats) -> None:
+def _fuse(merged: GraphArrays, weight: Floats, g: int, rows: GraphArrays, i: int, trail: Floats) -> None:
     for t in range(FRAMES):
         if not rows.mask[i, t] or _is_ego(rows, i, t, trail):
             continue
@@ -109,12 +109,12 @@ def _fuse(merged: Rows, weight: Floats, g: int, rows: Rows, i: int, trail: Float
 
 
 @inlined_part
-def _is_ego(rows: Rows, i: int, t: int, trail: Floats) -> bool:
+def _is_ego(rows: GraphArrays, i: int, t: int, trail: Floats) -> bool:
     return within(rows.position[i, t, 0] - trail[t, 0], rows.position[i, t, 1] - trail[t, 1], EGO_RADIUS)
 
 
 @compiled
-def finish_merge(merged: Rows, trail: Floats) -> None:
+def finish_merge(merged: GraphArrays, trail: Floats) -> None:
     """Apply the ego rule to the fused positions too, and drop rows that hold no node."""
     kept = 0
     for g in range(merged.used[0]):

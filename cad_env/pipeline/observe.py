@@ -18,9 +18,9 @@ from cad_env.types import (
     ROUTE_SPACING,
     Command,
     Floats,
+    GraphArrays,
     Ints,
     Observation,
-    Rows,
 )
 from cad_env.world.dynamics import place_on_route
 from cad_env.world.state import Routes
@@ -83,7 +83,7 @@ def _clip(value: float) -> float:
 
 
 @compiled
-def observe_tracks(view: View, merged: Rows, trail: Floats) -> None:
+def observe_tracks(view: View, merged: GraphArrays, trail: Floats) -> None:
     """Show the nearest tracks of a merged graph. trail (T, 3): the ego's pose x, y (m), heading (rad) per frame."""
     count = merged.used[0]
     distance = np.empty(count)

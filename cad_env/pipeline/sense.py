@@ -8,7 +8,7 @@ import numpy as np
 from cad_env.config import SensorConfig
 from cad_env.numerics.jit import compiled, inlined, inlined_part
 from cad_env.numerics.philox import normals_and_uniform
-from cad_env.types import ROWS, STEP, TRUCK, Bools, Detections, Floats, Ints
+from cad_env.types import MAX_TRACKS, STEP, TRUCK, Bools, Detections, Floats, Ints
 from cad_env.world.geometry import box_hides, within
 from cad_env.world.state import OFF, World
 
@@ -116,7 +116,7 @@ def fix_pose(world: World, observer: int, sensor: Sensing, key: Ints, step: int,
 @compiled
 def sense(world: World, outlines: Floats, observer: int, sensor: Sensing, key: Ints, step: int, pose: Floats,
           position: Floats, kind: Ints, visible: Bools, near: Ints) -> int:  # fmt: skip
-    """Fill position (ROWS, 3) and kind (ROWS,) with what the observer detects; return how many.
+    """Fill position (MAX_TRACKS, 3) and kind (MAX_TRACKS,) with what the observer detects; return how many.
 
     Detections are placed in the world by the observer's own fix `pose`, so its errors are theirs.
     outlines (N, 3) as from `outline`; near (N,) is scratch.
@@ -138,7 +138,7 @@ def sense(world: World, outlines: Floats, observer: int, sensor: Sensing, key: I
             continue
         visible[target] = True
         east, north, lucky = normals_and_uniform(key, step, observer, target, 0)
-        if lucky < sensor.miss or found == ROWS:
+        if lucky < sensor.miss or found == MAX_TRACKS:
             continue
         position[found, 0] = pose[0] + dx * cos - dy * sin + sensor.noise * east
         position[found, 1] = pose[1] + dx * sin + dy * cos + sensor.noise * north
@@ -153,7 +153,7 @@ def detect(world: World, observer: int, config: SensorConfig, key: Ints, step: i
     """What one vehicle's sensors report in one frame."""
     pose = np.zeros(3)
     sensor = sensing(config)
-    position, kind = np.zeros((ROWS, 3)), np.zeros(ROWS, np.int8)
+    position, kind = np.zeros((MAX_TRACKS, 3)), np.zeros(MAX_TRACKS, np.int8)
     fix_pose(world, observer, sensor, key, step, pose)
     count = len(world.heading)
     visible, near, outlines = np.zeros(count, np.bool_), np.zeros(count, np.int64), np.zeros((count, 3))

@@ -8,13 +8,13 @@ from cad_env.numerics.jit import inlined_part
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
-from cad_env.pipeline.graph_arrays import empty_rows, slide
+from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks
 from cad_env.pipeline.radio import ACCEPTED, LOST, REACHES, Air, Link, empty_air, fate, fetch, send
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
-from cad_env.types import FRAMES, MERGED_ROWS, ROWS, Bools, Bytes, Floats, Ints, Rows
+from cad_env.types import FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, Bools, Bytes, Floats, GraphArrays, Ints
 from cad_env.world.state import Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
@@ -39,20 +39,20 @@ class Fleet(NamedTuple):
     rows: Ints  # (V,) rows of the world
     trail: Floats  # (V, T, 3) m, m, rad: own GNSS fixes, newest last
     tracks: Tracks  # (V, ...)
-    window: Rows  # (V, ...) own graphs
-    kept: Rows  # (R, V, ...) what each receiver holds of each sender
-    merged: Rows  # (R, ...)
+    window: GraphArrays  # (V, ...) own graphs
+    kept: GraphArrays  # (R, V, ...) what each receiver holds of each sender
+    merged: GraphArrays  # (R, ...)
     views: View  # (R, ...)
     air: Air
     visible: Bools  # (V, N) who had a line of sight to whom; never leaves the simulation
     report: Report
-    message: Rows  # scratch: the message being read
+    message: GraphArrays  # scratch: the message being read
     weight: Floats  # scratch: (M, T)
     header: Ints  # scratch: (3,)
     outlines: Floats  # scratch: (N, 3)
     near: Ints  # scratch: (N,)
-    detection: Floats  # scratch: (ROWS, 3)
-    detected_kind: Ints  # scratch: (ROWS,)
+    detection: Floats  # scratch: (MAX_TRACKS, 3)
+    detected_kind: Ints  # scratch: (MAX_TRACKS,)
     buffer: Bytes  # scratch: (MAX_BYTES,)
 
 
@@ -60,12 +60,12 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
     """A fleet that has seen nothing yet."""
     count = len(rows)
     return Fleet(
-        rows, np.zeros((count, FRAMES, 3)), empty_tracks(count), empty_rows(count), empty_rows(receivers, count),
-        empty_rows(receivers, rows=MERGED_ROWS), empty_view(receivers), empty_air(count, link, MAX_BYTES),
+        rows, np.zeros((count, FRAMES, 3)), empty_tracks(count), empty_graph_arrays(count), empty_graph_arrays(receivers, count),
+        empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS), empty_view(receivers), empty_air(count, link, MAX_BYTES),
         np.zeros((count, vehicles), np.bool_),
         Report(*(np.zeros(n, np.int64) for n in (count, count, receivers, receivers))),
-        empty_rows(), np.zeros((MERGED_ROWS, FRAMES)), np.zeros(3, np.int64), np.zeros((vehicles, 3)),
-        np.zeros(vehicles, np.int64), np.zeros((ROWS, 3)), np.zeros(ROWS, np.int8), np.zeros(MAX_BYTES, np.uint8),
+        empty_graph_arrays(), np.zeros((MAX_MERGED_TRACKS, FRAMES)), np.zeros(3, np.int64), np.zeros((vehicles, 3)),
+        np.zeros(vehicles, np.int64), np.zeros((MAX_TRACKS, 3)), np.zeros(MAX_TRACKS, np.int8), np.zeros(MAX_BYTES, np.uint8),
     )  # fmt: skip
 
 
@@ -171,13 +171,13 @@ def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
 
 
 @inlined_part
-def _rows_at(stack: Rows, v: int) -> Rows:
-    return Rows(stack.used[v], stack.track[v], stack.position[v], stack.mask[v], stack.kind[v])
+def _rows_at(stack: GraphArrays, v: int) -> GraphArrays:
+    return GraphArrays(stack.used[v], stack.track[v], stack.position[v], stack.mask[v], stack.kind[v])
 
 
 @inlined_part
-def _kept_at(stack: Rows, r: int, v: int) -> Rows:
-    return Rows(stack.used[r, v], stack.track[r, v], stack.position[r, v], stack.mask[r, v], stack.kind[r, v])
+def _kept_at(stack: GraphArrays, r: int, v: int) -> GraphArrays:
+    return GraphArrays(stack.used[r, v], stack.track[r, v], stack.position[r, v], stack.mask[r, v], stack.kind[r, v])
 
 
 @inlined_part

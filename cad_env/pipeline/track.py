@@ -12,7 +12,7 @@ import numpy as np
 
 from cad_env.numerics.assignment import assign
 from cad_env.numerics.jit import compiled, compiled_part, inlined_part
-from cad_env.types import ROWS, STEP, Bools, Floats, Ints
+from cad_env.types import MAX_TRACKS, STEP, Bools, Floats, Ints
 from cad_env.world.geometry import within
 
 GATE = 3.0  # m; 18 m/s is 1.8 m a frame, so a newborn track of unknown velocity still finds its next detection
@@ -43,10 +43,10 @@ class Tracks(NamedTuple):
 def empty_tracks(*lead: int) -> Tracks:
     """No tracks yet; leading dimensions stack trackers."""
     return Tracks(
-        np.zeros((*lead, 1), np.int64), np.ones((*lead, 1), np.int64), np.zeros((*lead, ROWS), np.int64),
-        np.zeros((*lead, ROWS, 4)), np.zeros((*lead, ROWS, 3)), np.zeros((*lead, ROWS)),
-        np.zeros((*lead, ROWS), np.int8), np.zeros((*lead, ROWS), np.int64), np.zeros((*lead, ROWS), np.int64),
-        np.zeros((*lead, ROWS, BIRTH_HITS, 3)), np.zeros((*lead, ROWS, BIRTH_HITS), np.bool_),
+        np.zeros((*lead, 1), np.int64), np.ones((*lead, 1), np.int64), np.zeros((*lead, MAX_TRACKS), np.int64),
+        np.zeros((*lead, MAX_TRACKS, 4)), np.zeros((*lead, MAX_TRACKS, 3)), np.zeros((*lead, MAX_TRACKS)),
+        np.zeros((*lead, MAX_TRACKS), np.int8), np.zeros((*lead, MAX_TRACKS), np.int64), np.zeros((*lead, MAX_TRACKS), np.int64),
+        np.zeros((*lead, MAX_TRACKS, BIRTH_HITS, 3)), np.zeros((*lead, MAX_TRACKS, BIRTH_HITS), np.bool_),
     )  # fmt: skip
 
 
@@ -66,8 +66,8 @@ def seen_now(tracks: Tracks, row: int) -> bool:
 def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: float) -> None:
     """Take in one frame of `found` detections with the given noise (m)."""
     rows = tracks.used[0]
-    cost = np.empty((ROWS, ROWS))
-    match = np.empty(ROWS, np.int64)
+    cost = np.empty((MAX_TRACKS, MAX_TRACKS))
+    match = np.empty(MAX_TRACKS, np.int64)
     for i in range(rows):
         _predict(tracks, i)
         for j in range(found):
@@ -75,7 +75,7 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
             cost[i, j] = math.hypot(dx, dy) if within(dx, dy, GATE) else math.inf
     assign(cost, rows, found, GATE, match)
     variance = max(noise, LEAST_NOISE) ** 2
-    taken = np.zeros(ROWS, np.bool_)
+    taken = np.zeros(MAX_TRACKS, np.bool_)
     for i in range(rows):
         tracks.misses[i] += 1
         if match[i] >= 0:
@@ -84,7 +84,7 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
         _remember(tracks, i)
     _drop_lost(tracks)
     for j in range(found):
-        if not taken[j] and tracks.used[0] < ROWS:
+        if not taken[j] and tracks.used[0] < MAX_TRACKS:
             _spawn(tracks, position[j], kind[j], variance)
 
 

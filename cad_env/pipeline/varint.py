@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part
-from cad_env.types import FRAMES, Bools, Bytes, Floats, Ints, Rows
+from cad_env.types import FRAMES, Bools, Bytes, Floats, GraphArrays, Ints
 
 REACH = 100_000.0  # m, the largest coordinate
 UNITS = 100  # units a metre: the resolution is 1 cm
@@ -210,7 +210,7 @@ def named_before(track: Ints, row: int) -> bool:
 
 
 @compiled
-def set_nodes(rows: Rows, row: int, frames: int, varies: int) -> None:
+def set_nodes(rows: GraphArrays, row: int, frames: int, varies: int) -> None:
     """Set the mask, give every node its height where it is one, and clear what is absent."""
     height = rows.position[row, newest_column(frames), 2]
     for column in range(FRAMES):

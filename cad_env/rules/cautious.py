@@ -222,7 +222,7 @@ def decide_cautiously_on_all(tracks: Floats, mask: Ints, kind: Ints, odometry: F
 
 @dataclass
 class Cautious:
-    """The rules with caution: the cautious-own contender."""
+    """The rules with caution: the cautious-own method."""
 
     config: CautiousConfig = field(default_factory=CautiousConfig)
     privileged: bool = False

@@ -58,12 +58,12 @@ class Expert:
     def act_batch(self, observations: Truths) -> Ints:
         """GO or BRAKE, (n,), in n scenes."""
         chosen = np.empty(len(observations.which), np.int64)
-        _decide(observations.board.shelf, observations.which, self.config.rule, chosen)
+        _decide(observations.batch_state.records, observations.which, self.config.rule, chosen)
         return chosen
 
 
 @compiled
-def _decide(shelf: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
+def _decide(records: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
     for k in range(which.shape[0]):
-        scene = scene_at(shelf, which[k])
+        scene = scene_at(records, which[k])
         chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)

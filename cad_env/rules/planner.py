@@ -190,7 +190,7 @@ def decide_on_views(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, eg
 
 @dataclass
 class Planner:
-    """The rules on what the ego knows: the planner-own and planner-shared contenders, by what is shared with it."""
+    """The rules on what the ego knows: the planner-own and planner-shared methods, by what is shared with it."""
 
     config: PlannerConfig = field(default_factory=PlannerConfig)
     privileged: bool = False

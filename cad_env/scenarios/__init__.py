@@ -1,4 +1,4 @@
-"""One occlusion story a file: a map, its routes, and a draw of a cast and the traffic around it from a seed."""
+"""One occlusion story a file: a map, its routes, and a draw of a actors and the traffic around it from a seed."""
 
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -8,7 +8,7 @@ import numpy as np
 from cad_env.scenarios.junction import ARM, STOP_LINE, TURN_RADIUS, junction_network, left_plan, through_plan
 from cad_env.scenarios.ranges import Range, Ranges, check_road, span
 from cad_env.scenarios.scenario import Groups, Map, Scenario
-from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Cast, Placement
+from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Actors, Placement
 from cad_env.scenarios.vehicles import car_body, queue, queue_behind, stream, time_to
 from cad_env.types import CAR, TRUCK
 from cad_env.world.state import OFF, SCRIPTED, STANDING
@@ -20,7 +20,7 @@ SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
 
 @dataclass(frozen=True)
 class LeftTurnRanges(Ranges):
-    """Every range the cast is drawn from; docs/scenarios.md says where each comes from."""
+    """Every range the actors is drawn from; docs/scenarios.md says where each comes from."""
 
     ego_speed: Range = span(7.0, 9.0, within=(1.0, 20.0))  # m/s it wants to turn at
     ego_start: Range = span(26.0, 40.0, within=(5.0, 150.0))  # m before its stop line
@@ -38,7 +38,7 @@ class LeftTurnRanges(Ranges):
         check_road(self, self.ego_start[1] + 0.5 * ARC, SLOW_START, ARM)
 
 
-def cast(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator, hazard: bool) -> Cast:
+def actors(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator, hazard: bool) -> Actors:
     """The ego, the truck, the vehicle in the hidden lane, and two that wait in the west and see past the truck."""
     target = rng.uniform(*ranges.ego_speed)
     start = LINE - rng.uniform(*ranges.ego_start)
@@ -46,7 +46,7 @@ def cast(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator, hazard
     truck = _truck(junction, ranges, rng)
     hidden, timing = _hidden(junction, ranges, rng, hazard, ego)
     waiting = [queue(rng, junction.route(name), LINE, 1)[0] for name in ("west_left", "west_through")]
-    return Cast((ego, truck, hidden, *waiting), (OCCLUDER, 3, 4), LINE + ARC + 25.0, timing)
+    return Actors((ego, truck, hidden, *waiting), (OCCLUDER, 3, 4), LINE + ARC + 25.0, timing)
 
 
 def _truck(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator) -> Placement:
@@ -76,13 +76,13 @@ def _hidden(
     return Placement(route, progress, speed, speed, driver, CAR, **car_body(rng)), None if absent else timing
 
 
-def background(junction: Map, cast: Cast, rng: np.random.Generator) -> Groups:
+def background(junction: Map, actors: Actors, rng: np.random.Generator) -> Groups:
     """Queues at the red lights and behind the truck; a platoon beside the ego, and who drives before and behind it."""
-    ego, truck, hidden = cast.vehicles[EGO], cast.vehicles[OCCLUDER], cast.vehicles[HIDDEN]
+    ego, truck, hidden = actors.vehicles[EGO], actors.vehicles[OCCLUDER], actors.vehicles[HIDDEN]
     leaving = ego.target_speed + rng.uniform(2.0, 4.0)
     gone = hidden.target_speed + rng.uniform(0.5, 3.0)
     return [
-        *(queue_behind(rng, waiting, 2) for waiting in cast.vehicles[3:]),
+        *(queue_behind(rng, waiting, 2) for waiting in actors.vehicles[3:]),
         queue(rng, junction.route("east_left"), LINE, 2),
         queue(rng, junction.route("east_through"), LINE, 3),
         queue_behind(rng, truck, 2),
@@ -110,6 +110,6 @@ LEFT_TURN = Scenario(
         left_plan("east"),
         through_plan("east"),
     ),
-    cast=cast,
+    actors=actors,
     background=background,
 )

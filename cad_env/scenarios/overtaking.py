@@ -10,7 +10,7 @@ from highway_env.road.road import RoadNetwork
 from cad_env.scenarios.ranges import Range, Ranges, check_road, span
 from cad_env.scenarios.routes import RoutePlan
 from cad_env.scenarios.scenario import Groups, Map, Scenario
-from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Cast, Placement
+from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Actors, Placement
 from cad_env.scenarios.vehicles import car_body, stream, time_to
 from cad_env.types import CAR, TRUCK, Command
 from cad_env.world.state import OFF, SCRIPTED, STANDING
@@ -65,7 +65,7 @@ def _plan(name: str, commands: tuple[Command, ...], oncoming: tuple[float, float
 
 @dataclass(frozen=True)
 class OvertakingRanges(Ranges):
-    """Every range the cast is drawn from; docs/scenarios.md says where each comes from."""
+    """Every range the actors is drawn from; docs/scenarios.md says where each comes from."""
 
     ego_speed: Range = span(8.5, 10.5, within=(3.0, 15.0))  # m/s it wants to drive at
     ego_start: Range = span(35.0, 50.0, within=(30.0, 150.0))  # m before it would swing out
@@ -82,7 +82,7 @@ class OvertakingRanges(Ranges):
         check_road(self, self.ego_start[1] - LEAVE + 0.5 * self.truck_length[1], SLOW_START, EAST)
 
 
-def cast(road: Map, ranges: OvertakingRanges, rng: np.random.Generator, hazard: bool) -> Cast:
+def actors(road: Map, ranges: OvertakingRanges, rng: np.random.Generator, hazard: bool) -> Actors:
     """The ego, the truck, the oncoming vehicle, and two that see past the truck: one parked, one coming by."""
     target = rng.uniform(*ranges.ego_speed)
     start = LEAVE - WEST - rng.uniform(*ranges.ego_start)
@@ -101,7 +101,7 @@ def cast(road: Map, ranges: OvertakingRanges, rng: np.random.Generator, hazard: 
     by_now = max(EAST + rng.uniform(5.0, 20.0), first + rng.uniform(15.0, 25.0))
     passing = Placement(road.route("oncoming"), by_now, pace, pace, **car_body(rng))
     goal = float(road.routes.length[ego.route]) - (EAST - RETURN - SWING) + 25.0
-    return Cast((ego, truck, hidden, parked, passing), (OCCLUDER, 3), goal, timing)
+    return Actors((ego, truck, hidden, parked, passing), (OCCLUDER, 3), goal, timing)
 
 
 def _hidden(
@@ -123,9 +123,9 @@ def _hidden(
     return hidden, first, None if absent else timing
 
 
-def background(road: Map, cast: Cast, rng: np.random.Generator) -> Groups:
+def background(road: Map, actors: Actors, rng: np.random.Generator) -> Groups:
     """Who drives behind the ego and far ahead of it, who has come by already, and who is a long way off."""
-    ego, hidden, passing = (cast.vehicles[row] for row in (EGO, HIDDEN, 4))
+    ego, hidden, passing = (actors.vehicles[row] for row in (EGO, HIDDEN, 4))
     leaving, passed = ego.target_speed + rng.uniform(1.0, 3.0), 1.05 * passing.target_speed + 1.0
     east, oncoming = road.route("east"), road.route("oncoming")
     return [
@@ -150,6 +150,6 @@ OVERTAKING = Scenario(
         _plan("east", (_FOLLOW,) * 4),
         _plan("oncoming", (_FOLLOW,)),
     ),
-    cast=cast,
+    actors=actors,
     background=background,
 )

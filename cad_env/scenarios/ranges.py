@@ -1,4 +1,4 @@
-"""What a scenario is drawn from: ranges by name, and how much traffic is around its cast."""
+"""What a scenario is drawn from: ranges by name, and how much traffic is around its actors."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -7,13 +7,13 @@ from cad_env.config import check_range
 
 Range = tuple[float, float]
 
-# Further vehicles around the cast, from and to.
+# Further vehicles around the actors, from and to.
 DENSITIES = {"none": (0, 0), "light": (4, 8), "dense": (12, 16)}
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """How much is on the road around the cast, and how many of all of them are connected."""
+    """How much is on the road around the actors, and how many of all of them are connected."""
 
     density: str = "light"
     penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
@@ -42,7 +42,7 @@ def share(value: float) -> Any:
 
 @dataclass(frozen=True)
 class Ranges:
-    """What the cast of every scenario is drawn from; each adds its own. Nonsense is refused by name and value."""
+    """What the actors of every scenario is drawn from; each adds its own. Nonsense is refused by name and value."""
 
     hazard_share: float = share(0.5)  # share of episodes with a hazard
     collaborators: tuple[int, int] = count(2, 4, within=(0, 20))  # connected vehicles besides the ego

@@ -1,4 +1,4 @@
-"""A scenario is a map, its routes, a cast and the traffic around it, each drawn from a stream of chance of its own."""
+"""A scenario is a map, its routes, a actors and the traffic around it, each drawn from a stream of chance of its own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -12,7 +12,7 @@ from cad_env.config import check_names
 from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
-from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Cast, Placement, Scene, connected_rows
+from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows
 from cad_env.world.state import Routes
 
 
@@ -43,15 +43,15 @@ Groups = list[list[Placement]]  # who may be there; of each group the first ones
 
 @dataclass(frozen=True)
 class Scenario:
-    """One occlusion story. `cast` and `background` turn chance into vehicles; nothing else about it is random."""
+    """One occlusion story. `actors` and `background` turn chance into vehicles; nothing else about it is random."""
 
     name: str
     gym_id: str
     ranges: type[Any]  # a Ranges record
     network: Callable[[], RoadNetwork]
     plans: tuple[RoutePlan, ...]
-    cast: Callable[[Map, Any, np.random.Generator, bool], Cast] = field(repr=False)
-    background: Callable[[Map, Cast, np.random.Generator], Groups] = field(repr=False)
+    actors: Callable[[Map, Any, np.random.Generator, bool], Actors] = field(repr=False)
+    background: Callable[[Map, Actors, np.random.Generator], Groups] = field(repr=False)
 
     @property
     def map(self) -> Map:
@@ -66,26 +66,26 @@ class Scenario:
     def scene(self, ranges: Any, traffic: Traffic, seed: int, hazard: bool | None = None) -> Scene:
         """The scene of an episode seed; `hazard` forces its kind, and leaves all others as they are drawn.
 
-        Another density or penetration leaves the cast alone: they have streams of chance of their own.
+        Another density or penetration leaves the actors alone: they have streams of chance of their own.
         """
         rng = generator(seed, "traffic")
         drawn = bool(rng.random() < ranges.hazard_share)
         told = drawn if hazard is None else hazard
-        cast = self.cast(self.map, ranges, rng, told)
+        actors = self.actors(self.map, ranges, rng, told)
         further = generator(seed, "background")
         count = int(further.integers(*DENSITIES[traffic.density], endpoint=True))
-        placements = (*cast.vehicles, *_taken(self.background(self.map, cast, further), count, further))
+        placements = (*actors.vehicles, *_taken(self.background(self.map, actors, further), count, further))
         connected = connected_rows(
-            placements, cast.witnesses, ranges.collaborators, traffic, generator(seed, "connection")
+            placements, actors.witnesses, ranges.collaborators, traffic, generator(seed, "connection")
         )
-        return Scene(placements, connected, told, HIDDEN, OCCLUDER, cast.goal, cast.timing)
+        return Scene(placements, connected, told, HIDDEN, OCCLUDER, actors.goal, actors.timing)
 
     def most_connected(self, ranges: Any, traffic: Traffic) -> int:
         """No scene has more connected vehicles than this, the ego included."""
         if traffic.penetration is None:
             return 1 + int(ranges.collaborators[1])
-        cast = self.cast(self.map, ranges, generator(0, "traffic"), True)
-        return len(cast.vehicles) - 1 + DENSITIES[traffic.density][1]
+        actors = self.actors(self.map, ranges, generator(0, "traffic"), True)
+        return len(actors.vehicles) - 1 + DENSITIES[traffic.density][1]
 
 
 @cache

@@ -10,7 +10,7 @@ from cad_env.scenarios.ranges import Traffic
 from cad_env.types import CAR
 from cad_env.world.state import IDM, Routes, World, empty_world
 
-EGO, OCCLUDER, HIDDEN = 0, 1, 2  # the first rows of every cast
+EGO, OCCLUDER, HIDDEN = 0, 1, 2  # the first rows of every actors
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Cast:
+class Actors:
     """Who tells the story: the ego, the occluder, the hidden vehicle (OFF if absent), and others with a view."""
 
     vehicles: tuple[Placement, ...]
@@ -57,7 +57,7 @@ class Scene:
     hazard_row: int  # the vehicle that the occluder hides; its driver is OFF where there is none
     occluder_row: int
     goal: float  # m along the ego's route, where it has arrived
-    timing: float | None = None  # as in Cast
+    timing: float | None = None  # as in Actors
 
 
 def connected_rows(

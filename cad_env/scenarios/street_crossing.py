@@ -7,7 +7,7 @@ import numpy as np
 from cad_env.scenarios.junction import ARM, STOP_LINE, junction_network, left_plan, through_plan
 from cad_env.scenarios.ranges import Range, Ranges, check_road, count, share, span
 from cad_env.scenarios.scenario import Groups, Map, Scenario
-from cad_env.scenarios.scene import EGO, OCCLUDER, Cast, Placement
+from cad_env.scenarios.scene import EGO, OCCLUDER, Actors, Placement
 from cad_env.scenarios.vehicles import Body, car_body, queue, queue_behind, stream, time_to
 from cad_env.types import CAR, TRUCK
 from cad_env.world.drivers import COMFORTABLE_BRAKING, MIN_GAP
@@ -20,7 +20,7 @@ BEYOND = 2.0 * STOP_LINE + 25.0  # m past its stop line, where the ego has arriv
 
 @dataclass(frozen=True)
 class StreetCrossingRanges(Ranges):
-    """Every range the cast is drawn from; docs/scenarios.md says where each comes from."""
+    """Every range the actors is drawn from; docs/scenarios.md says where each comes from."""
 
     ego_speed: Range = span(9.5, 12.0, within=(1.0, 20.0))  # m/s it wants to cross at
     ego_start: Range = span(40.0, 58.0, within=(5.0, 150.0))  # m before its stop line
@@ -38,7 +38,7 @@ class StreetCrossingRanges(Ranges):
         check_road(self, self.ego_start[1] + STOP_LINE, SLOW_START, ARM)
 
 
-def cast(junction: Map, ranges: StreetCrossingRanges, rng: np.random.Generator, hazard: bool) -> Cast:
+def actors(junction: Map, ranges: StreetCrossingRanges, rng: np.random.Generator, hazard: bool) -> Actors:
     """The ego, the first of the queue, the vehicle on the hidden approach, two with a view, the rest of the queue."""
     target = rng.uniform(*ranges.ego_speed)
     start = LINE - rng.uniform(*ranges.ego_start)
@@ -46,7 +46,7 @@ def cast(junction: Map, ranges: StreetCrossingRanges, rng: np.random.Generator, 
     first, *rest = _queue(junction, ranges, rng)
     hidden, timing = _hidden(junction, ranges, rng, hazard, ego)
     waiting = [queue(rng, junction.route(name), LINE, 1)[0] for name in ("east_through", "north_left")]
-    return Cast((ego, first, hidden, *waiting, *rest), (OCCLUDER, 3), LINE + BEYOND, timing)
+    return Actors((ego, first, hidden, *waiting, *rest), (OCCLUDER, 3), LINE + BEYOND, timing)
 
 
 def _queue(junction: Map, ranges: StreetCrossingRanges, rng: np.random.Generator) -> list[Placement]:
@@ -84,10 +84,10 @@ def _hidden(
     return stops, None
 
 
-def background(junction: Map, cast: Cast, rng: np.random.Generator) -> Groups:
+def background(junction: Map, actors: Actors, rng: np.random.Generator) -> Groups:
     """Queues at the red lights; who drives before and behind the ego, and who has come the other way."""
-    ego = cast.vehicles[EGO]
-    across, opposite = (queue_behind(rng, waiting, 3) for waiting in cast.vehicles[3:5])
+    ego = actors.vehicles[EGO]
+    across, opposite = (queue_behind(rng, waiting, 3) for waiting in actors.vehicles[3:5])
     passed, beyond = ARM + rng.uniform(80.0, 110.0), LINE + 2.0 * STOP_LINE + rng.uniform(30.0, 50.0)
     slow, leaving = rng.uniform(9.0, 13.0), ego.target_speed + rng.uniform(1.0, 3.0)
     return [
@@ -116,6 +116,6 @@ STREET_CROSSING = Scenario(
         left_plan("east"),
         through_plan("east"),
     ),
-    cast=cast,
+    actors=actors,
     background=background,
 )

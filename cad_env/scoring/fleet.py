@@ -43,7 +43,7 @@ class FleetEpisode:
     """What happened to all agents of a scene: the unit of evaluation."""
 
     scenario: str
-    contender: str
+    method: str
     seed: int
     hazard: bool
     agents: tuple[AgentEpisode, ...]
@@ -67,7 +67,7 @@ def rollout_fleet(
     env: CADParallelEnv,
     policies: Policy | Mapping[str, Policy],
     seed: int,
-    contender: str = "",
+    method: str = "",
     hazard: bool | None = None,
     watch: FleetWatch | None = None,
 ) -> FleetEpisode:
@@ -91,7 +91,7 @@ def rollout_fleet(
             records[agent].add(actions[agent], info)
     agents = tuple(records[agent].episode(agent, env.outcomes[agent]) for agent in records)
     simulation = env.simulation
-    return FleetEpisode(simulation.scenario.name, contender, seed, simulation.scene.hazard, agents)
+    return FleetEpisode(simulation.scenario.name, method, seed, simulation.scene.hazard, agents)
 
 
 def _drivers(policies: Any, agents: list[str], possible: list[str]) -> dict[str, Policy]:
@@ -147,10 +147,10 @@ class _Record:
 
 @dataclass(frozen=True)
 class FleetScore:
-    """How a contender's fleets did in a scenario: one row of the table."""
+    """How a method's fleets did in a scenario: one row of the table."""
 
     scenario: str
-    contender: str
+    method: str
     hazard: str  # which episodes count: all, those with a hazard (yes), those without (no)
     episodes: int
     crashed_episodes: Share  # of the episodes, those in which any agent collided; Wilson's interval
@@ -164,13 +164,13 @@ class FleetScore:
 
 
 def fleet_scores(episodes: Iterable[FleetEpisode]) -> list[FleetScore]:
-    """Rows for all episodes, those with a hazard and those without, as far as there are any.
+    """GraphArrays for all episodes, those with a hazard and those without, as far as there are any.
 
-    Scenarios and contenders come in the order of their first episode.
+    Scenarios and methods come in the order of their first episode.
     """
     groups: dict[tuple[str, str], list[FleetEpisode]] = {}
     for episode in episodes:
-        groups.setdefault((episode.scenario, episode.contender), []).append(episode)
+        groups.setdefault((episode.scenario, episode.method), []).append(episode)
     return [
         fleet_score(kind, chosen)
         for group in groups.values()
@@ -180,7 +180,7 @@ def fleet_scores(episodes: Iterable[FleetEpisode]) -> list[FleetScore]:
 
 
 def fleet_score(kind: str, episodes: Sequence[FleetEpisode]) -> FleetScore:
-    """The row of at least one episode, all of one scenario and contender."""
+    """The row of at least one episode, all of one scenario and method."""
     everyone = [episode.agents for episode in episodes]
     drivers = [[agent for agent in agents if not agent.waits] for agents in everyone]
     sizes = [len(agents) for agents in drivers]
@@ -193,7 +193,7 @@ def fleet_score(kind: str, episodes: Sequence[FleetEpisode]) -> FleetScore:
         return [sum(agent.outcome == outcome for agent in agents) for agents in drivers]
 
     return FleetScore(
-        episodes[0].scenario, episodes[0].contender, kind, len(episodes),
+        episodes[0].scenario, episodes[0].method, kind, len(episodes),
         share(crashed, len(episodes)),
         clustered([episode.collisions for episode in episodes], [len(agents) for agents in everyone]),
         clustered(drivers_with("success"), sizes), clustered(drivers_with("timeout"), sizes),
@@ -203,7 +203,7 @@ def fleet_score(kind: str, episodes: Sequence[FleetEpisode]) -> FleetScore:
     )  # fmt: skip
 
 
-_TITLES = ("scenario", "contender", "hazard", "episodes", "any collision % [95 %]", "agents", "collided % [95 %]",
+_TITLES = ("scenario", "method", "hazard", "episodes", "any collision % [95 %]", "agents", "collided % [95 %]",
            "drive", "arrived % [95 %]", "late %", "time s", "needless brakes %", "bytes/s")  # fmt: skip
 
 
@@ -217,7 +217,7 @@ def fleet_table(rows: Sequence[FleetScore]) -> str:
 
 def _cells(row: FleetScore) -> tuple[str, ...]:
     return (
-        row.scenario, row.contender, row.hazard, str(row.episodes), _percent(row.crashed_episodes),
+        row.scenario, row.method, row.hazard, str(row.episodes), _percent(row.crashed_episodes),
         str(row.collisions.of), _percent(row.collisions), str(row.successes.of), _percent(row.successes),
         f"{100 * row.timeouts.rate:.1f}", "-" if row.mean_time_success is None else f"{row.mean_time_success:.1f}",
         _percent(row.needless_brakes), f"{row.bytes_per_second:.0f}",

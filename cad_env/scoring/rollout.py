@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.simulation.batch import Ensemble
+from cad_env.simulation.batch import SceneBatch
 from cad_env.simulation.scene_step import MAX_STEPS, UNDER_WAY
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, STEP, Floats, Ints, Observation, Policy
@@ -23,7 +23,7 @@ class Episode:
     """What happened: the unit of evaluation."""
 
     scenario: str
-    contender: str
+    method: str
     seed: int
     hazard: bool
     outcome: str  # success, collision or timeout
@@ -77,7 +77,7 @@ def rollout(
     env: CADEnv,
     policy: Policy,
     seed: int,
-    contender: str = "",
+    method: str = "",
     hazard: bool | None = None,
     watch: Watch | None = None,
 ) -> Episode:
@@ -90,15 +90,15 @@ def rollout(
         if watch is not None:
             watch(env, observation, action)
         observation, _, _, _, info = env.step(action)
-        log.note(_HERE, np.array([action]), {name: np.array([info[name]]) for name in _TOLD})
-    return log.episode(0, env.simulation, contender)
+        log.note(_HERE, np.array([action]), {name: np.array([info[name]]) for name in _LOGGED})
+    return log.episode(0, env.simulation, method)
 
 
 def rollouts(
     envs: CADVectorEnv | Sequence[CADEnv],
     policy: Policy,
     seeds: Iterable[int],
-    contender: str = "",
+    method: str = "",
     hazard: bool | None = None,
     watch: WatchOfMany | None = None,
 ) -> Iterator[Episode]:
@@ -109,74 +109,76 @@ def rollouts(
     environments only the settings count.
     """
     if isinstance(envs, CADVectorEnv):
-        ensemble = envs.ensemble
+        batch = envs.batch
     else:
-        ensemble = Ensemble([env.simulation.setup for env in envs])
-    waiting, log = iter(seeds), _Log(len(ensemble))
+        batch = SceneBatch([env.simulation.setup for env in envs])
+    waiting, log = iter(seeds), _Log(len(batch))
     decide = _decide_together if isinstance(policy, BatchPolicy) else _decide_alone
-    free = range(len(ensemble) if decide is _decide_together else 1)
+    free = range(len(batch) if decide is _decide_together else 1)
     going: list[int] = []
     while True:
         for place, seed in zip(free, waiting, strict=False):
             policy.reset(seed)
-            ensemble.start(place, seed, hazard)
+            batch.start(place, seed, hazard)
             going.append(place)
         if not going:
             return
         which = np.array(going)
-        actions = decide(policy, ensemble, which)
+        actions = decide(policy, batch, which)
         if watch is not None:
             for place, action in zip(going, actions.tolist(), strict=True):
-                watch(ensemble.simulations[place], ensemble.observation(place), action)
-        ensemble.step(which, actions)
-        log.note(which, actions, {name: ensemble.told(name)[which] for name in _TOLD})
-        free = which[ensemble.outcomes[which] != UNDER_WAY].tolist()
+                watch(batch.simulations[place], batch.observation(place), action)
+        batch.step(which, actions)
+        log.note(which, actions, {name: batch.step_info(name)[which] for name in _LOGGED})
+        free = which[batch.outcomes[which] != UNDER_WAY].tolist()
         for place in free:
             going.remove(place)
-            yield log.episode(place, ensemble.simulations[place], contender)
+            yield log.episode(place, batch.simulations[place], method)
 
 
-def _decide_together(policy: Any, ensemble: Ensemble, which: Ints) -> Ints:
+def _decide_together(policy: Any, batch: SceneBatch, which: Ints) -> Ints:
     """What a BatchPolicy decides, (n,), in the scenes `which` (n,)."""
     if policy.privileged:
-        return np.asarray(policy.act_batch(ensemble.truths(which)))
-    return np.asarray(policy.act_batch({name: part[which] for name, part in ensemble.observations.items()}))
+        return np.asarray(policy.act_batch(batch.truths(which)))
+    return np.asarray(policy.act_batch({name: part[which] for name, part in batch.observations.items()}))
 
 
-def _decide_alone(policy: Policy, ensemble: Ensemble, which: Ints) -> Ints:
+def _decide_alone(policy: Policy, batch: SceneBatch, which: Ints) -> Ints:
     """What any policy decides, (1,), in the one scene `which` (1,)."""
     place = int(which[0])
-    seen = ensemble.simulations[place].truth() if policy.privileged else ensemble.observation(place)
+    seen = batch.simulations[place].truth() if policy.privileged else batch.observation(place)
     return np.array([policy.act(seen)])
 
 
 _HERE = np.zeros(1, np.int64)
-_TOLD = ("speed", "bytes_sent", "messages_sent", "largest_message", "messages_lost")
+_LOGGED = ("speed", "bytes_sent", "messages_sent", "largest_message", "messages_lost")
 
 
 class _Log:
-    """What was decided and told in the episodes under way, one a scene."""
+    """What was decided and step_info in the episodes under way, one a scene."""
 
     def __init__(self, scenes: int) -> None:
         self._length = np.zeros(scenes, np.int64)
         self._action = np.zeros((scenes, MAX_STEPS), np.int8)
-        self._told = {name: np.zeros((scenes, MAX_STEPS), float if name == "speed" else np.int64) for name in _TOLD}
+        self._step_info = {
+            name: np.zeros((scenes, MAX_STEPS), float if name == "speed" else np.int64) for name in _LOGGED
+        }
 
-    def note(self, which: Ints, actions: Ints, told: Mapping[str, NDArray[Any]]) -> None:
+    def note(self, which: Ints, actions: Ints, step_info: Mapping[str, NDArray[Any]]) -> None:
         """Add a step of the scenes `which` (n,)."""
         at = which, self._length[which]
         self._action[at] = actions
-        for name, value in told.items():
-            self._told[name][at] = value
+        for name, value in step_info.items():
+            self._step_info[name][at] = value
         self._length[which] += 1
 
-    def episode(self, place: int, simulation: Simulation, contender: str) -> Episode:
+    def episode(self, place: int, simulation: Simulation, method: str) -> Episode:
         """The episode that ended in a scene, whose next one may begin."""
         count, self._length[place] = int(self._length[place]), 0
         info = simulation.info()
         return Episode(
-            simulation.scenario.name, contender, info["seed"], info["hazard"], info["outcome"],
+            simulation.scenario.name, method, info["seed"], info["hazard"], info["outcome"],
             self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_timing=info["hazard_timing"],
             connected=len(simulation.agents),
-            **{name: part[place, :count].copy() for name, part in self._told.items()},
+            **{name: part[place, :count].copy() for name, part in self._step_info.items()},
         )  # fmt: skip

@@ -20,13 +20,13 @@ class Record:
     302
     >>> parse_record('{"scenario": "left_turn"}')
     Traceback (most recent call last):
-    ValueError: an episode's record must have the keys scenario, contender, seed, hazard, outcome, time, brakes,
+    ValueError: an episode's record must have the keys scenario, method, seed, hazard, outcome, time, brakes,
     bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc, hazard_timing,
     connected, hardest_brake
     """
 
     scenario: str
-    contender: str
+    method: str
     seed: int
     hazard: bool
     outcome: str
@@ -51,7 +51,7 @@ class Record:
         counts = ("seed", "brakes", "messages_sent", "messages_lost", "bytes_total", "connected")
         return {
             "scenario": isinstance(self.scenario, str),
-            "contender": isinstance(self.contender, str),
+            "method": isinstance(self.method, str),
             **{name: _is_count(getattr(self, name)) for name in counts},
             "hazard": isinstance(self.hazard, bool),
             "outcome": self.outcome in OUTCOMES,
@@ -96,10 +96,10 @@ def parse_record(line: str) -> Record:
 
 @dataclass(frozen=True)
 class Scorecard:
-    """How a contender did in a scenario: one row of the table. Rates are shares of `episodes`."""
+    """How a method did in a scenario: one row of the table. Rates are shares of `episodes`."""
 
     scenario: str
-    contender: str
+    method: str
     hazard: str  # which episodes count: all, those with a hazard (yes), those without (no)
     episodes: int
     collisions: int
@@ -125,13 +125,13 @@ class Scorecard:
 
 
 def scorecards(records: Iterable[Record]) -> list[Scorecard]:
-    """Rows for all episodes, those with a hazard and those without, as far as there are any.
+    """GraphArrays for all episodes, those with a hazard and those without, as far as there are any.
 
-    Scenarios and contenders come in the order of their first record.
+    Scenarios and methods come in the order of their first record.
     """
     groups: dict[tuple[str, str], list[Record]] = {}
     for record in records:
-        groups.setdefault((record.scenario, record.contender), []).append(record)
+        groups.setdefault((record.scenario, record.method), []).append(record)
     return [
         scorecard(kind, chosen)
         for group in groups.values()
@@ -141,7 +141,7 @@ def scorecards(records: Iterable[Record]) -> list[Scorecard]:
 
 
 def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
-    """The row of at least one record, all of one scenario and contender."""
+    """The row of at least one record, all of one scenario and method."""
     episodes = len(records)
     count = {outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES}
     braked = sum(record.brakes > 0 for record in records)
@@ -150,7 +150,7 @@ def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
     total = sum(record.bytes_total for record in records)
     time = math.fsum(record.time for record in records)
     return Scorecard(
-        records[0].scenario, records[0].contender, kind, episodes,
+        records[0].scenario, records[0].method, kind, episodes,
         count["collision"], *_rate(count["collision"], episodes),
         count["success"], *_rate(count["success"], episodes),
         count["timeout"], time / episodes, _mean([record.time for record in records if record.outcome == "success"]),

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 from cad_env.scoring.scorecard import Scorecard
 
-TITLES = ("scenario", "contender", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
+TITLES = ("scenario", "method", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
            "time s", "needless brakes %", "bytes/message", "max")  # fmt: skip
 
 
 def text_table(titles: Sequence[str], rows: Sequence[Sequence[str]], names: int = 3) -> str:
-    """Rows under their titles and a rule; the first `names` columns are aligned to the left, numbers to the right.
+    """GraphArrays under their titles and a rule; the first `names` columns are aligned to the left, numbers to the right.
 
     >>> print(text_table(("method", "n"), [("expert", "5")], names=1))
     method  n
@@ -41,7 +41,7 @@ def table(rows: Sequence[Scorecard]) -> str:
 def cells_of(row: Scorecard) -> tuple[str, ...]:
     """A row of the table as text, under TITLES."""
     return (
-        row.scenario, row.contender, row.hazard, str(row.episodes),
+        row.scenario, row.method, row.hazard, str(row.episodes),
         percent(row.collision_rate, row.collision_low, row.collision_high),
         percent(row.success_rate, row.success_low, row.success_high),
         str(row.timeouts), f"{row.mean_time:.1f}",

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cad_env.lidar.config import CloudConfig
 from cad_env.simulation.cloud_exchange import exchange
-from cad_env.simulation.scene_step import OUTCOME_BY_CODE, Board, Truths, play
+from cad_env.simulation.scene_step import OUTCOME_BY_CODE, BatchState, Truths, play
 from cad_env.simulation.setup import Setup
 from cad_env.simulation.simulation import REFUSALS, Simulation
 from cad_env.types import COLLISION, SUCCESS, Bools, Ints, Observation
@@ -16,21 +16,21 @@ from cad_env.types import COLLISION, SUCCESS, Bools, Ints, Observation
 _OUTCOMES, _REFUSALS = np.array(OUTCOME_BY_CODE, object), np.array(REFUSALS, object)
 
 
-class Ensemble:
+class SceneBatch:
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
-        self.board = Board(
+        self.batch_state = BatchState(
             len(setups), _one_cloud(setups)
         )  # for compiled loops of one's own: `cad_env.simulation.scene_step.scene_at`
-        self.simulations = [Simulation(setup, self.board, place) for place, setup in enumerate(setups)]
+        self.simulations = [Simulation(setup, self.batch_state, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
         # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
         self.observations: Observation = {
-            name: part[:, 0] for name, part in zip(self.board.views._fields, self.board.views, strict=True)
+            name: part[:, 0] for name, part in zip(self.batch_state.views._fields, self.batch_state.views, strict=True)
         }
-        if self.board.clouds is not None:
-            self.observations.update(self.board.clouds._asdict())
+        if self.batch_state.clouds is not None:
+            self.observations.update(self.batch_state.clouds._asdict())
 
     def __len__(self) -> int:
         return len(self.simulations)
@@ -46,10 +46,10 @@ class Ensemble:
 
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
-        play(self.board.shelf, which, actions, True)
-        if self.board.clouds is not None:
+        play(self.batch_state.records, which, actions, True)
+        if self.batch_state.clouds is not None:
             every = [self.simulations[place].sharing for place in which.tolist()]
-            exchange([sharing for sharing in every if sharing is not None], self.board.rooms)
+            exchange([sharing for sharing in every if sharing is not None], self.batch_state.rooms)
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""
@@ -58,42 +58,42 @@ class Ensemble:
     @property
     def outcomes(self) -> Ints:
         """(S,) int8 how each episode stands, by the numbers of `cad_env.simulation.scene_step`; filled anew by every step."""
-        return self.board.told.outcome
+        return self.batch_state.step_info.outcome
 
     @property
     def rewards(self) -> NDArray[np.float64]:
         """(S,) of the newest step; filled anew by every step."""
-        return self.board.told.reward
+        return self.batch_state.step_info.reward
 
-    def told(self, name: str) -> NDArray[Any]:
-        """(S,) one of the numbers of `cad_env.simulation.scene_step.Told`; filled anew by every step."""
-        part: NDArray[Any] = getattr(self.board.told, name)
+    def step_info(self, name: str) -> NDArray[Any]:
+        """(S,) one of the numbers of `cad_env.simulation.scene_step.StepInfo`; filled anew by every step."""
+        part: NDArray[Any] = getattr(self.batch_state.step_info, name)
         return part
 
     def truths(self, which: Ints) -> Truths:
         """The worlds of the scenes `which`, for a privileged policy."""
-        return Truths(self.board, which)
+        return Truths(self.batch_state, which)
 
     def infos(self, which: Bools) -> dict[str, Any]:
         """What info says of the newest step of the scenes `which` (S,), as Gymnasium's vectors say it.
 
         For every name of a single environment's info there are the values, (S,), and a mask `_name` of who has one.
         """
-        told = self.board.told
-        outcome = _OUTCOMES[told.outcome]
+        step_info = self.batch_state.step_info
+        outcome = _OUTCOMES[step_info.outcome]
         values = {
             **self._episodes,
-            "speed": told.speed,
+            "speed": step_info.speed,
             "crashed": outcome == COLLISION,
             "outcome": outcome,
             "is_success": outcome == SUCCESS,
-            "min_ttc": told.min_ttc,
-            "bytes_sent": told.bytes_sent,
-            "bytes_received": told.bytes_received,
-            "largest_message": told.largest_message,
-            "messages_sent": told.messages_sent,
-            "messages_lost": told.messages_lost,
-            "refused": _REFUSALS[told.refused],
+            "min_ttc": step_info.min_ttc,
+            "bytes_sent": step_info.bytes_sent,
+            "bytes_received": step_info.bytes_received,
+            "largest_message": step_info.largest_message,
+            "messages_sent": step_info.messages_sent,
+            "messages_lost": step_info.messages_lost,
+            "refused": _REFUSALS[step_info.refused],
         }
         return masked(values, which)
 

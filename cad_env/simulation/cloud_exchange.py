@@ -25,7 +25,7 @@ from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, Link, fate
 from cad_env.pipeline.sense import Sensing
 from cad_env.pipeline.step import RADIO
 from cad_env.pipeline.varint import DecodeError
-from cad_env.simulation.scene_step import LiveScene, tell_air
+from cad_env.simulation.scene_step import SceneState, write_radio_info
 from cad_env.types import FRAMES, STEP, Bytes, Floats, Ints
 from cad_env.world.state import World
 
@@ -48,7 +48,7 @@ class Sharing:
         self._reads = config.codec.reads if isinstance(config.codec, Selective) else Reads()
         self._thinned: dict[tuple[int, int], Floats] = {}  # by vehicle and most points, in this step
 
-    def start(self, scene: LiveScene, seed: int) -> None:
+    def start(self, scene: SceneState, seed: int) -> None:
         """Begin an episode: nothing is on the air."""
         self._scene, self._key = scene, stream_key(seed, "cast")
         self._air: dict[int, Sent] = {}  # by step, the newest `delay` + 1
@@ -109,7 +109,7 @@ class Sharing:
         """One step, given what the codec wrote of every speaker's cloud: send, receive, merge, show and tell."""
         self.send(contents)
         self.show(self.config.codec.decode(contents[0]), self.receive())
-        tell_air(self._scene.told, self._scene.fleet.report)
+        write_radio_info(self._scene.step_info, self._scene.fleet.report)
 
     def send(self, contents: Sequence[bytes]) -> None:
         """Put on the air what the codec wrote of every speaker's cloud, as far as the budget goes."""

@@ -1,6 +1,6 @@
 """A scene under way as one record, and the compiled loops that move one such scene or a thousand.
 
-Every environment steps its scenes by `play`. It takes them from the shelf of a board, where each has its own numbers of
+Every environment steps its scenes by `play`. It takes them from the records of a batch_state, where each has its own numbers of
 vehicles, and a call from Python costs next to nothing however many arrays a scene has.
 """
 
@@ -13,7 +13,7 @@ from numba import typeof
 from cad_env.config import RadioConfig, SensorConfig
 from cad_env.lidar.config import CloudConfig, CloudView, empty_cloud_view
 from cad_env.numerics.jit import compiled, inlined, inlined_part
-from cad_env.numerics.record_array import new_shelf, put, take
+from cad_env.numerics.record_array import new_record_array, put, take
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
@@ -30,7 +30,7 @@ OUTCOME_BY_CODE = (None, SUCCESS, COLLISION, TIMEOUT)
 FINAL_REWARDS = (0.0, 1.0, -1.0, 0.0)
 
 
-class Told(NamedTuple):
+class StepInfo(NamedTuple):
     """What the newest step came to, for the ego: the numbers of info dicts. Of many scenes (S,), of one (1,)."""
 
     outcome: Ints  # int8
@@ -46,7 +46,7 @@ class Told(NamedTuple):
     refused: Ints  # why the first message that was refused was, 0 if none was
 
 
-class LiveScene(NamedTuple):
+class SceneState(NamedTuple):
     """V connected vehicles among N, of which the first R merge, observe and decide."""
 
     world: World
@@ -60,24 +60,24 @@ class LiveScene(NamedTuple):
     actions: Ints  # (V,) GO or BRAKE
     goal: float  # m along its route, where the ego has arrived
     way: float  # m from its start to there
-    told: Told
+    step_info: StepInfo
     scratch: Floats  # (N,)
 
 
-class Board:
+class BatchState:
     """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
 
     def __init__(self, places: int, cloud: CloudConfig | None = None) -> None:
-        self.told = _nothing_told(places)
+        self.step_info = _no_step_info(places)
         self.views: View = empty_view(places, 1)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
         self.rooms: list[Bytes] = []  # scratch: for clouds before they are encoded
-        self._scenes: dict[int, LiveScene] = {}  # whose arrays the shelf borrows
-        self.shelf: Any = new_shelf(KIND, places, self._scenes)
+        self._scenes: dict[int, SceneState] = {}  # whose arrays the records borrows
+        self.records: Any = new_record_array(KIND, places, self._scenes)
 
-    def told_at(self, place: int) -> Told:
+    def step_info_at(self, place: int) -> StepInfo:
         """The part of the scene at `place`."""
-        return Told(*(part[place : place + 1] for part in self.told))
+        return StepInfo(*(part[place : place + 1] for part in self.step_info))
 
     def views_at(self, place: int) -> View:
         """The part of the scene at `place`, (1, ...)."""
@@ -87,25 +87,25 @@ class Board:
         """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
         return self.clouds and CloudView(*(part[place] for part in self.clouds))
 
-    def put(self, place: int, scene: LiveScene) -> None:
+    def put(self, place: int, scene: SceneState) -> None:
         """Let a new scene take a place."""
-        _put(self.shelf, place, scene)
+        _put(self.records, place, scene)
         self._scenes[place] = scene
 
 
-def _nothing_told(scenes: int) -> Told:
+def _no_step_info(scenes: int) -> StepInfo:
     numbers = (np.zeros(scenes) for _ in range(4))
-    return Told(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(6)))
+    return StepInfo(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(6)))
 
 
 def _kind() -> Any:
-    """The type of every live scene, told by one of nobody."""
+    """The type of every live scene, step_info by one of nobody."""
     link = link_of(RadioConfig())
     return typeof(
-        LiveScene(
+        SceneState(
             empty_world(0), empty_routes(), new_fleet(np.zeros(1, np.int64), 0, 1, link), sensing(SensorConfig()), link,
             FRAMES, np.zeros((2, 2), np.uint64), np.zeros(1, np.int64), np.zeros(1, np.int64), 0.0, 0.0,
-            _nothing_told(1), np.zeros(0),
+            _no_step_info(1), np.zeros(0),
         )
     )  # fmt: skip
 
@@ -114,25 +114,25 @@ KIND = _kind()
 
 
 @compiled
-def _put(shelf: Any, place: int, scene: LiveScene) -> None:
-    put(shelf, place, KIND, scene)
+def _put(records: Any, place: int, scene: SceneState) -> None:
+    put(records, place, KIND, scene)
 
 
 @inlined_part
-def scene_at(shelf: Any, place: int) -> LiveScene:
-    """The live scene at a place of a board's shelf, borrowed, for compiled loops."""
-    scene: LiveScene = take(shelf, place, KIND)
+def scene_at(records: Any, place: int) -> SceneState:
+    """The live scene at a place of a batch_state's records, borrowed, for compiled loops."""
+    scene: SceneState = take(records, place, KIND)
     return scene
 
 
 @compiled
-def play(shelf: Any, which: Ints, actions: Ints, moves: bool) -> None:
+def play(records: Any, which: Ints, actions: Ints, moves: bool) -> None:
     """One decision in the scenes `which` (n,), whose egos decide `actions` (n,): 0.1 s passes, and everybody perceives.
 
     Without `moves` no time passes: everybody perceives what there is.
     """
     for k in range(which.shape[0]):
-        scene = scene_at(shelf, which[k])
+        scene = scene_at(records, which[k])
         if moves:
             scene.actions[0] = actions[k]
             advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
@@ -140,7 +140,7 @@ def play(shelf: Any, which: Ints, actions: Ints, moves: bool) -> None:
         run(
             scene.world, scene.routes, scene.fleet, scene.sensor, scene.link, scene.depth, scene.keys, scene.clock[0]
         )  # fmt: skip
-        tell(scene)
+        write_step_info(scene)
 
 
 @compiled
@@ -154,33 +154,33 @@ def verdict(struck: bool, arrived: bool, over: bool) -> int:
 
 
 @inlined_part
-def tell(scene: LiveScene) -> None:
+def write_step_info(scene: SceneState) -> None:
     """Write down what the newest step came to."""
-    world, told, air = scene.world, scene.told, scene.fleet.report
+    world, step_info, air = scene.world, scene.step_info, scene.fleet.report
     outcome = verdict(world.struck[0] >= 0, world.progress[0] >= scene.goal, scene.clock[0] >= MAX_STEPS)
-    told.outcome[0], told.speed[0] = outcome, world.speed[0]
-    told.reward[0] = (world.progress[0] - told.progress[0]) / scene.way + FINAL_REWARDS[outcome]
-    told.progress[0] = world.progress[0]
-    told.min_ttc[0] = min(told.min_ttc[0], time_to_contact(world, 0))
-    tell_air(told, air)
+    step_info.outcome[0], step_info.speed[0] = outcome, world.speed[0]
+    step_info.reward[0] = (world.progress[0] - step_info.progress[0]) / scene.way + FINAL_REWARDS[outcome]
+    step_info.progress[0] = world.progress[0]
+    step_info.min_ttc[0] = min(step_info.min_ttc[0], time_to_contact(world, 0))
+    write_radio_info(step_info, air)
 
 
 @inlined
-def tell_air(told: Told, air: Report) -> None:
+def write_radio_info(step_info: StepInfo, air: Report) -> None:
     """Write down what the newest step put on the air."""
-    told.bytes_sent[0] = told.largest_message[0] = told.messages_sent[0] = told.refused[0] = 0
+    step_info.bytes_sent[0] = step_info.largest_message[0] = step_info.messages_sent[0] = step_info.refused[0] = 0
     for v in range(air.sent_bytes.shape[0]):
-        told.bytes_sent[0] += air.sent_bytes[v]
-        told.largest_message[0] = max(told.largest_message[0], air.sent_bytes[v])
-        told.messages_sent[0] += air.refusal[v] == ACCEPTED
-        if told.refused[0] == ACCEPTED:
-            told.refused[0] = air.refusal[v]
-    told.bytes_received[0], told.messages_lost[0] = air.received_bytes[0], air.lost[0]
+        step_info.bytes_sent[0] += air.sent_bytes[v]
+        step_info.largest_message[0] = max(step_info.largest_message[0], air.sent_bytes[v])
+        step_info.messages_sent[0] += air.refusal[v] == ACCEPTED
+        if step_info.refused[0] == ACCEPTED:
+            step_info.refused[0] = air.refusal[v]
+    step_info.bytes_received[0], step_info.messages_lost[0] = air.received_bytes[0], air.lost[0]
 
 
 @dataclass(frozen=True)
 class Truths:
-    """What a privileged policy that decides in batches is given: the worlds of some scenes of a board."""
+    """What a privileged policy that decides in batches is given: the worlds of some scenes of a batch_state."""
 
-    board: Board
+    batch_state: BatchState
     which: Ints  # (n,)

@@ -24,7 +24,7 @@ from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
 from cad_env.simulation.cloud_exchange import Sharing, exchange
-from cad_env.simulation.scene_step import FINAL_REWARDS, OUTCOME_BY_CODE, Board, LiveScene, play, verdict
+from cad_env.simulation.scene_step import FINAL_REWARDS, OUTCOME_BY_CODE, BatchState, SceneState, play, verdict
 from cad_env.simulation.setup import Setup
 from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
 from cad_env.world.state import Truth, World
@@ -34,18 +34,18 @@ REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message wa
 
 
 class Simulation:
-    """The state of one episode, and what happens in a decision step; it has a place on a board, alone or not."""
+    """The state of one episode, and what happens in a decision step; it has a place on a batch_state, alone or not."""
 
-    def __init__(self, setup: Setup, board: Board | None = None, place: int = 0) -> None:
+    def __init__(self, setup: Setup, batch_state: BatchState | None = None, place: int = 0) -> None:
         self.setup = setup
         self.scenario = scenario_named(setup.scenario)
         self.map = self.scenario.map
         self.ranges = self.scenario.configured(dict(setup.ranges))
         self.traffic = Traffic(setup.traffic, setup.penetration)
         self._sensor = sensing(setup.sensor)
-        self._board = board or Board(1, setup.cloud)
+        self._batch_state = batch_state or BatchState(1, setup.cloud)
         self._place, self._which = place, np.array([place])
-        link, shown = link_of(setup.radio), self._board.clouds_at(place)
+        link, shown = link_of(setup.radio), self._batch_state.clouds_at(place)
         self.sharing: Sharing | None = None
         if setup.cloud is not None and shown is not None:  # points are on the air, and graphs are not
             self.sharing, link = Sharing(setup.cloud, link, shown), link_of(radio_config("none"))
@@ -59,43 +59,43 @@ class Simulation:
         self.world: World = place(self.scene, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
         vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
-        views = self._board.views_at(self._place) if count == 1 else empty_view(count)
+        views = self._batch_state.views_at(self._place) if count == 1 else empty_view(count)
         self.fleet: Fleet = new_fleet(self.agents, vehicles, count, self._link)._replace(views=views)
         self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
-        goal, told = self.scene.goal, self._board.told_at(self._place)
-        told.min_ttc[0], told.progress[0] = math.inf, self.world.progress[0]
-        self._live = LiveScene(
+        goal, step_info = self.scene.goal, self._batch_state.step_info_at(self._place)
+        step_info.min_ttc[0], step_info.progress[0] = math.inf, self.world.progress[0]
+        self._scene_state = SceneState(
             self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys,
             np.zeros(1, np.int64), np.zeros(len(self.agents), np.int64), float(goal),
-            float(goal - self.world.progress[0]), told, np.zeros(vehicles),
+            float(goal - self.world.progress[0]), step_info, np.zeros(vehicles),
         )  # fmt: skip
-        self._board.put(self._place, self._live)
+        self._batch_state.put(self._place, self._scene_state)
         if self.sharing is not None:
-            self.sharing.start(self._live, seed)
+            self.sharing.start(self._scene_state, seed)
         self._perceive()
 
     def step(self, actions: Ints) -> None:
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
-        self._live.actions[:] = actions
+        self._scene_state.actions[:] = actions
         self._play(True)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_board"}
+        return {name: value for name, value in self.__dict__.items() if name != "_batch_state"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy has a board of its own, whatever board the original has its place on."""
+        """A copy has a batch_state of its own, whatever batch_state the original has its place on."""
         self.__dict__.update(state)
-        self._board, self._place, self._which = Board(1), 0, np.zeros(1, np.int64)
-        if "_live" in state:
-            self._board.put(0, self._live)
+        self._batch_state, self._place, self._which = BatchState(1), 0, np.zeros(1, np.int64)
+        if "_scene_state" in state:
+            self._batch_state.put(0, self._scene_state)
 
     def _perceive(self) -> None:
         self._play(False)
 
     def _play(self, moves: bool) -> None:
-        play(self._board.shelf, self._which, self._live.actions, moves)
+        play(self._batch_state.records, self._which, self._scene_state.actions, moves)
         if self.sharing is not None:
-            exchange([self.sharing], self._board.rooms)
+            exchange([self.sharing], self._batch_state.rooms)
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on; the ego, number 0, is the only one that is shown clouds."""
@@ -112,11 +112,11 @@ class Simulation:
 
     def outcome(self) -> str | None:
         """success, collision, timeout, or None while the episode of the ego goes on."""
-        return OUTCOME_BY_CODE[self._live.told.outcome.item()]
+        return OUTCOME_BY_CODE[self._scene_state.step_info.outcome.item()]
 
     def reward(self) -> float:
         """Of the ego in the newest step: the share of its way that it covered, +1 on arrival, -1 on a collision."""
-        return self._live.told.reward.item()
+        return self._scene_state.step_info.reward.item()
 
     def truth(self, agent: int = 0) -> Truth:
         """The world itself, for a privileged policy."""
@@ -125,7 +125,7 @@ class Simulation:
     @property
     def steps(self) -> int:
         """Decisions since the start."""
-        return int(self._live.clock[0])
+        return int(self._scene_state.clock[0])
 
     @property
     def time(self) -> float:
@@ -137,22 +137,22 @@ class Simulation:
         return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_timing": self.scene.timing}
 
     def info(self) -> dict[str, Any]:
-        """What info says of the newest step, for the ego: plain numbers. `Ensemble.infos` says the same of many."""
-        told = self._live.told
-        outcome = OUTCOME_BY_CODE[told.outcome.item()]
+        """What info says of the newest step, for the ego: plain numbers. `SceneBatch.infos` says the same of many."""
+        step_info = self._scene_state.step_info
+        outcome = OUTCOME_BY_CODE[step_info.outcome.item()]
         return {
             **self.episode_info(),
-            "speed": told.speed.item(),
+            "speed": step_info.speed.item(),
             "crashed": outcome == COLLISION,
             "outcome": outcome,
             "is_success": outcome == SUCCESS,
-            "min_ttc": told.min_ttc.item(),
-            "bytes_sent": told.bytes_sent.item(),
-            "bytes_received": told.bytes_received.item(),
-            "largest_message": told.largest_message.item(),
-            "messages_sent": told.messages_sent.item(),
-            "messages_lost": told.messages_lost.item(),
-            "refused": REFUSALS[told.refused.item()],
+            "min_ttc": step_info.min_ttc.item(),
+            "bytes_sent": step_info.bytes_sent.item(),
+            "bytes_received": step_info.bytes_received.item(),
+            "largest_message": step_info.largest_message.item(),
+            "messages_sent": step_info.messages_sent.item(),
+            "messages_lost": step_info.messages_lost.item(),
+            "refused": REFUSALS[step_info.refused.item()],
         }
 
     def object_lists(self) -> list[Floats]:

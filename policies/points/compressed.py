@@ -22,6 +22,7 @@ from cad_env.lidar.points import KEPT, Reads, relative, thinned
 from cad_env.pipeline.radio import REACHES
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Floats, Ints, Observation
+from policies.layers import Linear
 from policies.points import feature_codec
 from policies.points.frames import CloudFrames, Seen, record_of, seen
 from policies.points.layers import (
@@ -35,8 +36,7 @@ from policies.points.layers import (
     mean,
     most,
 )
-from policies.stgraph.network import Linear
-from policies.threshold_policy import CloudDriver
+from policies.threshold_policy import PointsPolicy
 
 VOXEL = 4.0  # m
 VEHICLES = 5  # whose keypoints the receiver has room for: its own and those of four others
@@ -90,12 +90,12 @@ class CompressedNet(nn.Module):
     def __init__(self, config: CompressedConfig | None = None, seed: int = 0) -> None:
         super().__init__()
         self.config = config = config or CompressedConfig()
-        chance = torch.Generator().manual_seed(seed)
-        self.backbone = Backbone(config.width, config.neighbours, config.levels, 1, chance)
-        self.send = Linear(config.width, config.channels, chance)
-        self.pool, self.place = (Linear(n, config.pooled_width, chance) for n in (config.channels, 3))
-        self.mix = Linear(config.pooled_width, config.pooled_width, chance)
-        self.decide = decision(config.pooled_width, config.mlp_width, chance)
+        rng = torch.Generator().manual_seed(seed)
+        self.backbone = Backbone(config.width, config.neighbours, config.levels, 1, rng)
+        self.send = Linear(config.width, config.channels, rng)
+        self.pool, self.place = (Linear(n, config.pooled_width, rng) for n in (config.channels, 3))
+        self.mix = Linear(config.pooled_width, config.pooled_width, rng)
+        self.decide = decision(config.pooled_width, config.mlp_width, rng)
 
     def encode(self, grid: Floats, first: Ints) -> tuple[Floats, Tensor, Ints]:
         """Keypoints (P, 3) m and their features (P, channels) of clouds in order, and where each begins (C + 1,)."""
@@ -199,7 +199,7 @@ class SizedOnly:
 
 
 @dataclass(frozen=True)
-class CompressedFamily:
+class CompressedSpec:
     """Features of points as messages; sender and receiver learn together, from the clouds of all vehicles."""
 
     name: str = "compressed"
@@ -238,7 +238,7 @@ class CompressedFamily:
         those of now, though what arrives is older.
         """
         clouds = simulation.clouds
-        assert clouds is not None, "the environment of this family shares points"
+        assert clouds is not None, "the environment of this spec shares points"
         heard = [clouds[v] for v in range(1, len(clouds)) if simulation.arrival(v, 0)[0] == REACHES]
         own = clouds[0]
         near = [own, *sorted(heard, key=lambda other: _apart(own, other))][:VEHICLES]
@@ -254,13 +254,13 @@ class CompressedFamily:
         assert isinstance(network, CompressedNet)
         return network.shared(batch)
 
-    def driver(self, network: nn.Module, threshold: float) -> CloudDriver:
+    def policy(self, network: nn.Module, threshold: float) -> PointsPolicy:
         """The receiver as it is now; the senders are in the environment."""
-        return CloudDriver(network, threshold)
+        return PointsPolicy(network, threshold)
 
 
 def _apart(one: OwnCloud, other: OwnCloud) -> float:
     return float(np.hypot(*(one.pose - other.pose)[:2]))
 
 
-FAMILY = COMPRESSED = CompressedFamily()
+SPEC = COMPRESSED = CompressedSpec()

@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from cad_env.types import Command, Floats, Ints
+from policies.layers import Linear
 from policies.points.neighbours import farthest, largest, nearest
-from policies.stgraph.network import Linear
 
 CENTIMETRES = 100.0  # to the metre: what positions are rounded to before anything is computed from them
 POSITION_SCALE = 1 / 50  # 1/m, of positions as features
@@ -77,12 +77,12 @@ class VectorAttention(nn.Module):
     taken to be part of those that give q and k, which spares a product for every pair of points.
     """
 
-    def __init__(self, width: int, chance: torch.Generator) -> None:
+    def __init__(self, width: int, rng: torch.Generator) -> None:
         super().__init__()
-        self.query = Linear(width, width, chance)
-        self.key_value = Linear(width, 2 * width, chance)
-        self.place = nn.Sequential(Linear(3, width, chance), nn.ReLU(), Linear(width, width, chance))  # delta
-        self.weigh = nn.Sequential(nn.ReLU(), Linear(width, width, chance))  # gamma
+        self.query = Linear(width, width, rng)
+        self.key_value = Linear(width, 2 * width, rng)
+        self.place = nn.Sequential(Linear(3, width, rng), nn.ReLU(), Linear(width, width, rng))  # delta
+        self.weigh = nn.Sequential(nn.ReLU(), Linear(width, width, rng))  # gamma
 
     def forward(self, x: Tensor, offset: Tensor, near: Tensor) -> Tensor:
         """Features (P, D) after one exchange; offset (P, k, 3) to the neighbours `near` (P, k)."""
@@ -96,11 +96,11 @@ class VectorAttention(nn.Module):
 class Block(nn.Module):
     """Vector attention between two linear maps, around which the input goes past."""
 
-    def __init__(self, width: int, chance: torch.Generator) -> None:
+    def __init__(self, width: int, rng: torch.Generator) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width)
-        self.enter, self.leave = Linear(width, width, chance), Linear(width, width, chance)
-        self.attention = VectorAttention(width, chance)
+        self.enter, self.leave = Linear(width, width, rng), Linear(width, width, rng)
+        self.attention = VectorAttention(width, rng)
 
     def forward(self, x: Tensor, offset: Tensor, near: Tensor) -> Tensor:
         """Features (P, D) after the block."""
@@ -112,9 +112,9 @@ class Block(nn.Module):
 class TransitionDown(nn.Module):
     """To fewer points with wider features: each takes the largest of what its neighbourhood says."""
 
-    def __init__(self, inputs: int, outputs: int, chance: torch.Generator) -> None:
+    def __init__(self, inputs: int, outputs: int, rng: torch.Generator) -> None:
         super().__init__()
-        self.norm, self.widen = nn.LayerNorm(inputs), Linear(inputs, outputs, chance)
+        self.norm, self.widen = nn.LayerNorm(inputs), Linear(inputs, outputs, rng)
 
     def forward(self, x: Tensor, near: Tensor) -> Tensor:
         """(P, D) -> (Q, E), for the neighbours `near` (Q, k) of the points that are kept."""
@@ -124,14 +124,14 @@ class TransitionDown(nn.Module):
 class Backbone(nn.Module):
     """From the points of clouds to features of a selection of them: a block, then `levels` times down and a block."""
 
-    def __init__(self, width: int, k: int, levels: int, widening: int, chance: torch.Generator) -> None:
+    def __init__(self, width: int, k: int, levels: int, widening: int, rng: torch.Generator) -> None:
         super().__init__()
         self.k = k
         widths = [width * widening**depth for depth in range(levels + 1)]
         self.width = widths[-1]
-        self.lift = nn.Sequential(Linear(3, width, chance), nn.ReLU(), Linear(width, width, chance))
-        self.blocks = nn.ModuleList(Block(of, chance) for of in widths)
-        self.downs = nn.ModuleList(TransitionDown(of, to, chance) for of, to in pairwise(widths))
+        self.lift = nn.Sequential(Linear(3, width, rng), nn.ReLU(), Linear(width, width, rng))
+        self.blocks = nn.ModuleList(Block(of, rng) for of in widths)
+        self.downs = nn.ModuleList(TransitionDown(of, to, rng) for of, to in pairwise(widths))
 
     def forward(self, grid: Floats, first: Ints) -> tuple[Level, Tensor]:
         """The last level and its features (P, D), for points in order: grid (P, 3) cm, first (B + 1,)."""
@@ -171,7 +171,7 @@ def mean(x: Tensor, group: Tensor, groups: int) -> Tensor:
     return x.new_zeros(groups, x.shape[1]).index_add(0, group, x) / count.unsqueeze(1)
 
 
-def decision(inputs: int, width: int, chance: torch.Generator) -> nn.Sequential:
+def decision(inputs: int, width: int, rng: torch.Generator) -> nn.Sequential:
     """From features (B, inputs) of the scene and the command (B, 6), side by side, to logits (B, 2)."""
-    first = Linear(inputs + len(Command), width, chance)
-    return nn.Sequential(first, nn.ReLU(), Linear(width, width, chance), nn.ReLU(), Linear(width, 2, chance))
+    first = Linear(inputs + len(Command), width, rng)
+    return nn.Sequential(first, nn.ReLU(), Linear(width, width, rng), nn.ReLU(), Linear(width, 2, rng))

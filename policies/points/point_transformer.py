@@ -20,7 +20,7 @@ from cad_env.simulation.simulation import Simulation
 from cad_env.types import Ints, Observation
 from policies.points.frames import CloudFrames, Seen, record_of, seen
 from policies.points.layers import Backbone, check_sizes, cloud_of, decision, in_order, mean, most
-from policies.threshold_policy import CloudDriver
+from policies.threshold_policy import PointsPolicy
 
 _SIZES = {"merged": 65_536, "neighbours": 64, "width": 256, "levels": 5, "mlp_width": 1024}
 
@@ -57,9 +57,9 @@ class PointTransformerNet(nn.Module):
     def __init__(self, config: PointTransformerConfig | None = None, seed: int = 0) -> None:
         super().__init__()
         self.config = config = config or PointTransformerConfig()
-        chance = torch.Generator().manual_seed(seed)
-        self.backbone = Backbone(config.width, config.neighbours, config.levels, 2, chance)
-        self.decide = decision(2 * self.backbone.width, config.mlp_width, chance)
+        rng = torch.Generator().manual_seed(seed)
+        self.backbone = Backbone(config.width, config.neighbours, config.levels, 2, rng)
+        self.decide = decision(2 * self.backbone.width, config.mlp_width, rng)
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Logits (B, 2) for `cloud` (B, M, 3) m, `cloud_mask` (B, M) and `command` (B, 6)."""
@@ -82,7 +82,7 @@ class MergedFrames(CloudFrames):
 
 
 @dataclass(frozen=True)
-class PointTransformerFamily:
+class PointTransformerSpec:
     """The Point Transformer on what the environment merges from raw points.
 
     A frame keeps that merged cloud as it was observed, so training sees what driving does, whatever the radio: where
@@ -124,9 +124,9 @@ class PointTransformerFamily:
         logits: Tensor = network(batch)
         return logits
 
-    def driver(self, network: nn.Module, threshold: float) -> CloudDriver:
+    def policy(self, network: nn.Module, threshold: float) -> PointsPolicy:
         """The network as it is now."""
-        return CloudDriver(network, threshold)
+        return PointsPolicy(network, threshold)
 
 
-FAMILY = POINT_TRANSFORMER = PointTransformerFamily()
+SPEC = POINT_TRANSFORMER = PointTransformerSpec()

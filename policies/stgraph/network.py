@@ -15,30 +15,15 @@ from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
 from cad_env.types import Command
+from policies.layers import Linear, uniform
 from policies.stgraph.config import StGraphConfig
 from policies.stgraph.features import Relation, ego_speed, scene
 
 __all__ = ["StGraphConfig", "StGraphNet"]
 
 
-def _uniform(chance: torch.Generator, bound: float, *shape: int) -> nn.Parameter:
-    return nn.Parameter(torch.empty(*shape).uniform_(-bound, bound, generator=chance))
-
-
-def _glorot(chance: torch.Generator, fan_in: int, fan_out: int, *shape: int) -> nn.Parameter:
-    return _uniform(chance, math.sqrt(6 / (fan_in + fan_out)), *shape)
-
-
-class Linear(nn.Module):
-    """An affine map whose first weights come from the given chance, as torch's own draws them."""
-
-    def __init__(self, inputs: int, outputs: int, chance: torch.Generator) -> None:
-        super().__init__()
-        self.weight = _uniform(chance, 1 / math.sqrt(inputs), outputs, inputs)
-        self.bias = _uniform(chance, 1 / math.sqrt(inputs), outputs)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.linear(x, self.weight, self.bias)
+def _glorot(rng: torch.Generator, fan_in: int, fan_out: int, *shape: int) -> nn.Parameter:
+    return uniform(rng, math.sqrt(6 / (fan_in + fan_out)), *shape)
 
 
 class _WeightedSum(torch.autograd.Function):
@@ -73,16 +58,16 @@ class _WeightedSum(torch.autograd.Function):
 class RelationLayer(nn.Module):
     """One attention layer over the edges of one kind: Eqs. (2) and (3) of the paper, with H heads of D numbers."""
 
-    def __init__(self, inputs: int, config: StGraphConfig, concatenate: bool, chance: torch.Generator) -> None:
+    def __init__(self, inputs: int, config: StGraphConfig, concatenate: bool, rng: torch.Generator) -> None:
         super().__init__()
         heads, width = config.heads, config.head_width
         self.concatenate, self.slope, self.attributes = concatenate, config.attn_slope, config.edge_attributes
-        self.weight = _glorot(chance, inputs, heads * width, heads * width, inputs)  # W
-        self.attend_target = _glorot(chance, width, 1, heads, width)  # a, in its three parts
-        self.attend_source = _glorot(chance, width, 1, heads, width)
+        self.weight = _glorot(rng, inputs, heads * width, heads * width, inputs)  # W
+        self.attend_target = _glorot(rng, width, 1, heads, width)  # a, in its three parts
+        self.attend_source = _glorot(rng, width, 1, heads, width)
         if self.attributes:
-            self.edge_weight = _glorot(chance, 1, heads * width, heads, width)  # W_e
-            self.attend_edge = _glorot(chance, width, 1, heads, width)
+            self.edge_weight = _glorot(rng, 1, heads * width, heads, width)  # W_e
+            self.attend_edge = _glorot(rng, width, 1, heads, width)
 
     def forward(self, grid: Tensor, ego: Tensor, relation: Relation) -> tuple[Tensor, Tensor]:
         """Embeddings of the nodes (F, I, G, B) and of the ego (F, 1, 1, B) after one exchange along the edges."""
@@ -126,11 +111,11 @@ class RelationLayer(nn.Module):
 class Importance(nn.Module):
     """How much a relation matters to a graph: Eq. (4), with one set of weights for both relations."""
 
-    def __init__(self, width: int, chance: torch.Generator) -> None:
+    def __init__(self, width: int, rng: torch.Generator) -> None:
         super().__init__()
-        self.weight = _glorot(chance, width, width, width, width)  # W_b
+        self.weight = _glorot(rng, width, width, width, width)  # W_b
         self.bias = nn.Parameter(torch.zeros(width))  # b
-        self.query = _glorot(chance, width, 1, width)  # q
+        self.query = _glorot(rng, width, 1, width)  # q
 
     def forward(self, grid: Tensor, ego: Tensor, mask: Tensor) -> Tensor:
         """The mean over the nodes of each graph, ego included, and over no other graph of the batch: (B,)."""
@@ -155,24 +140,24 @@ class StGraphNet(nn.Module):
     def __init__(self, config: StGraphConfig | None = None, seed: int = 0) -> None:
         super().__init__()
         self.config = config = config or StGraphConfig()
-        chance = torch.Generator().manual_seed(seed)
+        rng = torch.Generator().manual_seed(seed)
         joined, wide = config.heads * config.head_width, config.mlp_width
-        self.project = Linear(config.node_inputs, config.hidden, chance)  # W_v; with [x, y, z, 1] it is 4 x 12
+        self.project = Linear(config.node_inputs, config.hidden, rng)  # W_v; with [x, y, z, 1] it is 4 x 12
         self.relations = ("spatial", "temporal") if config.temporal else ("spatial",)
         self.layers = nn.ModuleDict()
         for depth in range(config.layers):
             inputs, inner = joined if depth else config.hidden, depth < config.layers - 1
             for name in self.relations:
-                self.layers[f"{name}_{depth}"] = RelationLayer(inputs, config, inner, chance)
+                self.layers[f"{name}_{depth}"] = RelationLayer(inputs, config, inner, rng)
         self.importance = nn.ModuleDict()
         if config.temporal:
             if config.fusion == "per_layer":
                 for depth in range(config.layers - 1):
-                    self.importance[str(depth)] = Importance(joined, chance)
-            self.importance[str(config.layers - 1)] = Importance(config.head_width, chance)
+                    self.importance[str(depth)] = Importance(joined, rng)
+            self.importance[str(config.layers - 1)] = Importance(config.head_width, rng)
         told = config.head_width + len(Command) + config.ego_speed
         self.decide = nn.Sequential(
-            Linear(told, wide, chance), nn.ReLU(), Linear(wide, wide, chance), nn.ReLU(), Linear(wide, 2, chance)
+            Linear(told, wide, rng), nn.ReLU(), Linear(wide, wide, rng), nn.ReLU(), Linear(wide, 2, rng)
         )
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:

@@ -1,4 +1,4 @@
-"""The paper's network as a family: frames keep the nodes of their graphs, and a batch is the padded windows again."""
+"""The paper's network as a spec: frames keep the nodes of their graphs, and a batch is the padded windows again."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from cad_env.simulation.simulation import Simulation
 from cad_env.types import FRAMES, OBSERVED_TRACKS, Floats, Ints, Observation
 from policies.stgraph.compiled.module import fused_logits
 from policies.stgraph.network import StGraphConfig, StGraphNet
-from policies.threshold_policy import LearnedPolicy
+from policies.stgraph.policy import StGraphPolicy
 
 SLOTS = OBSERVED_TRACKS * FRAMES
 CENTIMETRE = np.float32(0.01)  # m; as fine as messages carry positions, and much finer than the sensors
@@ -81,7 +81,7 @@ class Nodes:
 
 
 @dataclass(frozen=True)
-class StGraphFamily:
+class StGraphSpec:
     """`policies.stgraph.network`, which reads the observation as it is."""
 
     name: str = "stgraph"
@@ -130,10 +130,10 @@ class StGraphFamily:
         assert isinstance(network, StGraphNet)
         return fused_logits(network, batch)
 
-    def driver(self, network: nn.Module, threshold: float) -> LearnedPolicy:
+    def policy(self, network: nn.Module, threshold: float) -> StGraphPolicy:
         """The network as it is now."""
         assert isinstance(network, StGraphNet)
-        return LearnedPolicy(network, threshold)
+        return StGraphPolicy(network, threshold)
 
 
-FAMILY = StGraphFamily()
+SPEC = StGraphSpec()

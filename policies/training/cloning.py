@@ -1,4 +1,4 @@
-"""Behaviour cloning: balanced batches, the loss, and what a driver is worth in closed loop."""
+"""Behaviour cloning: balanced batches, the loss, and what a policy is worth in closed loop."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ from cad_env.files import replace_file
 from cad_env.scoring.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints, Policy
 from policies.model_folder import ModelError
-from policies.spec import Family, Frames
+from policies.spec import Frames, NetworkSpec
 
 LOSS = "loss"  # in a checkpoint, beside the tensors of the network and of Adam
 NEEDLESS_COST = 0.1  # failures that a needless brake is as bad as
@@ -68,7 +68,7 @@ def balanced(labels: Mapping[str, Ints], recipe: Recipe, rng: np.random.Generato
 
 
 def fit(
-    family: Family,
+    spec: NetworkSpec,
     network: nn.Module,
     optimiser: torch.optim.Adam,
     frames: Mapping[str, Frames],
@@ -89,7 +89,7 @@ def fit(
         for group in optimiser.param_groups:
             group["lr"] = recipe.learning_rate * (0.51 + 0.49 * math.cos(math.pi * step / total))
         seen, label = _gathered(frames, next(batches))
-        loss = torch.nn.functional.cross_entropy(family.logits(network, seen), label)
+        loss = torch.nn.functional.cross_entropy(spec.logits(network, seen), label)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -108,9 +108,9 @@ def _gathered(frames: Mapping[str, Frames], chosen: Mapping[str, Ints]) -> tuple
 
 @dataclass(frozen=True)
 class Worth:
-    """What a driver is worth on validation episodes of its own; less is better.
+    """What a policy is worth on validation episodes of its own; less is better.
 
-    A needless brake counts a tenth of a failure. By failures alone a driver would win that brakes in every episode, or
+    A needless brake counts a tenth of a failure. By failures alone a policy would win that brakes in every episode, or
     whom chance has spared one collision in hundreds; by time alone, one that dares too much.
     """
 

@@ -1,6 +1,6 @@
-"""From nothing to a driver: record the expert, clone it, let the clone drive and be corrected, keep the best.
+"""From nothing to a policy: record the expert, clone it, let the clone drive and be corrected, keep the best.
 
-One network of any family learns all scenarios of its course. A course is a list of stages in files, so a killed run
+One network of any spec learns all scenarios of its course. A course is a list of stages in files, so a killed run
 goes on after the last stage it finished. Every stage draws its chance from (seed, stage), so stopping and going on
 changes nothing.
 """
@@ -19,16 +19,17 @@ from cad_env.config import check_range, radio_config
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import SCENARIOS, scenario_named
 from cad_env.types import FRAMES
-from policies.model_folder import Families, SavedModel, load_model, paper_only, save_model
-from policies.spec import Family, Frames
+from policies.model_folder import SavedModel, load_model, save_model
+from policies.registry import spec_named
+from policies.spec import Frames, NetworkSpec
 from policies.stgraph.network import StGraphConfig
 from policies.training.cloning import Recipe, drive, fit, load_state, save_state
-from policies.training.demonstrations import Recording, record
+from policies.training.demonstrations import Demonstrations, record
 from policies.training.frame_cache import frames_of
 from policies.training.validation_log import Log, summary
 
 # Seeds of training stay below a million; those of scoring begin there. Every scenario uses the same ones.
-EXPERT_SEEDS, CORRECTED_SEEDS, VALIDATION_SEEDS, FINAL_SEEDS = 0, 300_000, 900_000, 950_000
+EXPERT_SEEDS, DAGGER_SEEDS, VALIDATION_SEEDS, FINAL_SEEDS = 0, 300_000, 900_000, 950_000
 LAST_SEED = 999_999
 SIDE_BY_SIDE = 32
 METRICS, FINALS = "metrics.csv", "finalists.csv"  # what each checkpoint was worth, and the best at every threshold
@@ -50,8 +51,8 @@ class Course:
     depth: int = FRAMES  # newest frames in a message
     seed: int = 0
     episodes: int = 1500  # driven by the expert
-    corrections: int = 2  # DAgger rounds: the network drives, the expert labels
-    corrected_episodes: int = 400  # in each of them
+    dagger_rounds: int = 2  # DAgger rounds: the network drives, the expert labels
+    dagger_episodes: int = 400  # in each of them
     mixing: float = 0.0  # share of the decisions that the expert takes in the first of them; of the n-th: to the n
     steps: int = 2400  # optimiser steps of the first round; half as many in each later one
     segments: int = 3  # parts of a round; a checkpoint and a validation after each
@@ -59,8 +60,8 @@ class Course:
     final_validation: int = 100  # episodes for each of the best checkpoints and thresholds
     thresholds: tuple[float, ...] = (0.8, 0.65, 0.5, 0.35)
     recipe: Recipe = field(default_factory=Recipe)
-    family: str = "stgraph"
-    network: Any = field(default_factory=StGraphConfig)  # of the family's config type
+    spec: str = "stgraph"
+    network: Any = field(default_factory=StGraphConfig)  # of the spec's config type
 
     def __post_init__(self) -> None:
         for name in self.scenarios:
@@ -69,8 +70,8 @@ class Course:
             raise ValueError(f"scenarios must name at least one, each once, got {' '.join(self.scenarios)!r}")
         radio_config(self.radio)
         for name, low, high in (
-            ("seed", 0, 2**31), ("episodes", 1, CORRECTED_SEEDS), ("corrections", 0, 49), ("steps", 3, 10**7),
-            ("corrected_episodes", 1, 10_000), ("segments", 1, 100), ("validation", 1, FINAL_SEEDS - VALIDATION_SEEDS),
+            ("seed", 0, 2**31), ("episodes", 1, DAGGER_SEEDS), ("dagger_rounds", 0, 49), ("steps", 3, 10**7),
+            ("dagger_episodes", 1, 10_000), ("segments", 1, 100), ("validation", 1, FINAL_SEEDS - VALIDATION_SEEDS),
             ("final_validation", 1, LAST_SEED - FINAL_SEEDS),
         ):  # fmt: skip
             check_range(name, getattr(self, name), low, high)
@@ -89,10 +90,10 @@ class Course:
 
     def work(self) -> float:
         """All that `train` will tell its `advance`."""
-        rounds = range(self.corrections + 1)
-        driven = self.corrections * self.corrected_episodes + self.segments * len(rounds) * self.validation
+        rounds = range(self.dagger_rounds + 1)
+        driven = self.dagger_rounds * self.dagger_episodes + self.segments * len(rounds) * self.validation
         driven += FINALISTS * len(self.thresholds) * self.final_validation
-        replayed = self.episodes + self.corrections * self.corrected_episodes
+        replayed = self.episodes + self.dagger_rounds * self.dagger_episodes
         per_scenario = REPLAYED_COST * replayed + DRIVEN_COST * driven
         return len(self.scenarios) * per_scenario + sum(self.steps_of(turn) for turn in rounds)
 
@@ -103,8 +104,8 @@ class _Workshop:
 
     course: Course
     folder: Path
-    recordings: Path  # of the expert, shared by all courses
-    family: Family
+    demonstrations: Path  # of the expert, shared by all courses
+    spec: NetworkSpec
     network: nn.Module
     optimiser: torch.optim.Adam
     log: Log  # of every checkpoint
@@ -112,9 +113,9 @@ class _Workshop:
     advance: Advance
 
     @property
-    def corrections(self) -> Path:
+    def dagger_folder(self) -> Path:
         """Where the episodes are that the network drove to be corrected."""
-        return self.folder / "corrections"
+        return self.folder / "dagger_rounds"
 
     def driven(self, episodes: int) -> None:
         """Tell of episodes that the network drove."""
@@ -122,11 +123,11 @@ class _Workshop:
 
     def envs(self, scenario: str) -> CADVectorEnv:
         """Scenes as the network is to drive in them, as it is now."""
-        return self._envs(scenario, self.family.environment(self.network))
+        return self._envs(scenario, self.spec.environment(self.network))
 
     def replayed(self, scenario: str) -> CADVectorEnv:
         """Scenes to look at what was recorded in."""
-        return self._envs(scenario, self.family.replayed(self.network))
+        return self._envs(scenario, self.spec.replayed(self.network))
 
     def _envs(self, scenario: str, needs: dict[str, Any]) -> CADVectorEnv:
         return CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio=self.course.radio, depth=self.course.depth, **needs)
@@ -140,7 +141,7 @@ class _Workshop:
         return load_state(checkpoint(self.folder, turn, segment), self.network, self.optimiser)
 
 
-def record_expert(folder: Path, scenario: str, episodes: int, advance: Advance) -> list[Recording]:
+def record_demonstrations(folder: Path, scenario: str, episodes: int, advance: Advance) -> list[Demonstrations]:
     """The expert's episodes of a scenario, kept in `folder`/<scenario>; it sees the truth, so nothing is sent."""
     envs = CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio="none")
     return record(folder / scenario, envs, None, range(EXPERT_SEEDS, EXPERT_SEEDS + episodes), advance)
@@ -150,27 +151,26 @@ def train(
     course: Course,
     folder: Path,
     advance: Advance,
-    families: Families = paper_only,
-    recordings: Path | None = None,
+    demonstrations: Path | None = None,
 ) -> None:
     """Train one network into `folder` (the model and how it came about), going on where it stopped.
 
-    `recordings` is where the expert's episodes are, or are put; several courses may share it.
+    `demonstrations` is where the expert's episodes are, or are put; several courses may share it.
     """
     torch.set_num_threads(1)  # the graphs are small: a second thread waits more than it works
     if (folder / "config.json").exists():
-        load_model(folder, families)
+        load_model(folder)
         advance(course.work())
         return
     folder.mkdir(parents=True, exist_ok=True)
-    family = families(course.family)
-    network = family.build(course.network, seed=course.seed)
+    spec = spec_named(course.spec)
+    network = spec.build(course.network, seed=course.seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=course.recipe.learning_rate)
-    log, finals, shared = Log(folder / METRICS), Log(folder / FINALS), recordings or folder / "recording"
-    shop = _Workshop(course, folder, shared, family, network, optimiser, log, finals, advance)
+    log, finals, shared = Log(folder / METRICS), Log(folder / FINALS), demonstrations or folder / "demonstrations"
+    shop = _Workshop(course, folder, shared, spec, network, optimiser, log, finals, advance)
     frames: dict[str, Frames] = {}
     known = 0  # rounds whose frames are in there
-    for turn in range(course.corrections + 1):
+    for turn in range(course.dagger_rounds + 1):
         if not all(shop.fitted(turn, segment) for segment in range(course.segments)):
             for missing in range(known, turn + 1):
                 _learn_of(shop, missing, frames)
@@ -183,9 +183,9 @@ def _learn_of(shop: _Workshop, turn: int, frames: dict[str, Frames]) -> None:
     """Add the frames of a round, of every scenario, as the network meets them."""
     for name in shop.course.scenarios:
         envs, parts = shop.replayed(name), []
-        folder = (shop.corrections if turn else shop.recordings) / name / "frames"
+        folder = (shop.dagger_folder if turn else shop.demonstrations) / name / "frames"
         for recorded in _recorded(shop, turn, name):
-            parts.append(frames_of(folder, recorded, envs, shop.family, shop.network))
+            parts.append(frames_of(folder, recorded, envs, shop.spec, shop.network))
             shop.advance(REPLAYED_COST * len(recorded))
         before = [frames.pop(name)] if name in frames else []
         first, *others = [*before, *parts]
@@ -193,22 +193,22 @@ def _learn_of(shop: _Workshop, turn: int, frames: dict[str, Frames]) -> None:
         frames[name] = first.joined(others) if others else first
 
 
-def _recorded(shop: _Workshop, turn: int, scenario: str) -> list[Recording]:
+def _recorded(shop: _Workshop, turn: int, scenario: str) -> list[Demonstrations]:
     """The episodes of a round: driven by the expert at first, then by the network as it was before the round."""
     course = shop.course
     if turn == 0:
-        return record_expert(shop.recordings, scenario, course.episodes, lambda done: None)
-    first = CORRECTED_SEEDS + turn * 10_000
-    seeds = range(first, first + course.corrected_episodes)
-    shards = shop.corrections / scenario / f"round_{turn}"
-    driver = shop.family.driver(shop.network, 0.5)
-    return record(shards, shop.envs(scenario), driver, seeds, shop.driven, course.mixing**turn)
+        return record_demonstrations(shop.demonstrations, scenario, course.episodes, lambda done: None)
+    first = DAGGER_SEEDS + turn * 10_000
+    seeds = range(first, first + course.dagger_episodes)
+    shards = shop.dagger_folder / scenario / f"round_{turn}"
+    policy = shop.spec.policy(shop.network, 0.5)
+    return record(shards, shop.envs(scenario), policy, seeds, shop.driven, course.mixing**turn)
 
 
 def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
     """Fit the network to the frames so far, in segments, each validated in closed loop on every scenario."""
     course = shop.course
-    before, total = (sum(map(course.steps_of, range(rounds))) for rounds in (turn, course.corrections + 1))
+    before, total = (sum(map(course.steps_of, range(rounds))) for rounds in (turn, course.dagger_rounds + 1))
     size = course.steps_of(turn) // course.segments
     for segment in range(course.segments):
         if shop.fitted(turn, segment):
@@ -218,9 +218,7 @@ def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
             shop.log.forget(turn, segment)
             rng = np.random.default_rng([course.seed, turn, segment])
             steps = range(before + segment * size, before + (segment + 1) * size)
-            loss = fit(
-                shop.family, shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance
-            )
+            loss = fit(shop.spec, shop.network, shop.optimiser, frames, course.recipe, steps, total, rng, shop.advance)
             save_state(checkpoint(shop.folder, turn, segment), shop.network, shop.optimiser, loss)
         seeds = range(VALIDATION_SEEDS, VALIDATION_SEEDS + course.validation)
         _validate(shop, shop.log, (turn, segment, VALIDATED_AT), loss, seeds)
@@ -229,7 +227,7 @@ def _round(shop: _Workshop, turn: int, frames: Mapping[str, Frames]) -> None:
 def _validate(shop: _Workshop, log: Log, which: tuple[int, int, float], loss: float, seeds: range) -> None:
     """Note what the network is worth in closed loop, in every scenario of which that is not yet known."""
     turn, segment, threshold = which
-    policy, known = shop.family.driver(shop.network, threshold), {row["scenario"] for row in log.of(*which)}
+    policy, known = shop.spec.policy(shop.network, threshold), {row["scenario"] for row in log.of(*which)}
     for name in shop.course.scenarios:
         if name in known:
             shop.driven(len(seeds))
@@ -244,18 +242,18 @@ def _keep_best(shop: _Workshop) -> None:
     course, log = shop.course, shop.finals
     seeds = range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation)
     finalists: list[tuple[int, int, float]] = []
-    for turn, segment, _ in shop.log.drivers()[:FINALISTS]:
+    for turn, segment, _ in shop.log.ranked()[:FINALISTS]:
         loss = shop.load(turn, segment)
         for threshold in course.thresholds:
             finalists.append((turn, segment, threshold))
             _validate(shop, log, finalists[-1], loss, seeds)
-    best, *_ = log.drivers()
+    best, *_ = log.ranked()
     shop.load(*best[:2])
     notes = {
         "course": json.loads(json.dumps(asdict(course))), "chosen": log.note(*best),
         "finalists": [log.note(*which) for which in finalists],
     }  # fmt: skip
-    save_model(shop.folder, SavedModel(shop.network, best[2], notes, shop.family))
+    save_model(shop.folder, SavedModel(shop.network, best[2], notes, shop.spec))
 
 
 def checkpoint(folder: Path, turn: int, segment: int) -> Path:

@@ -1,7 +1,7 @@
 """What an episode is made of: its seed, what was decided in it, and what the expert would have done.
 
 The traffic is a function of the seed, the settings of the scene and the decisions, so these are enough to meet the
-episode again, whatever is sensed or shared in it: one recording serves every network, a few bytes a frame.
+episode again, whatever is sensed or shared in it: one demonstrations serves every network, a few bytes a frame.
 """
 
 import io
@@ -44,7 +44,7 @@ class ReplayError(ValueError):
 
 
 @dataclass(frozen=True)
-class Recording:
+class Demonstrations:
     """E whole episodes of F decisions in all, one after another."""
 
     seed: Ints  # (E,) int64
@@ -57,7 +57,7 @@ class Recording:
         """E."""
         return len(self.seed)
 
-    def in_order(self, seeds: Sequence[int]) -> "Recording":
+    def in_order(self, seeds: Sequence[int]) -> "Demonstrations":
         """The episodes of these seeds, in this order; KeyError for one that is not there."""
         place = {seed: episode for episode, seed in enumerate(self.seed.tolist())}
         chosen = np.array([place[seed] for seed in seeds], np.int64)
@@ -65,41 +65,41 @@ class Recording:
         frames = np.concatenate(
             [np.arange(first[episode], first[episode] + self.length[episode]) for episode in chosen]
         )
-        return Recording(
+        return Demonstrations(
             self.seed[chosen], self.length[chosen], self.outcome[chosen], self.action[frames], self.label[frames]
         )
 
 
-def joined(parts: Sequence[Recording]) -> Recording:
-    """All episodes of several recordings."""
-    return Recording(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS})
+def joined(parts: Sequence[Demonstrations]) -> Demonstrations:
+    """All episodes of several demonstrations."""
+    return Demonstrations(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS})
 
 
-Driven = Callable[[Sequence[int]], Iterator[Recording]]  # an episode for each seed, as they end
+Driven = Callable[[Sequence[int]], Iterator[Demonstrations]]  # an episode for each seed, as they end
 
 
 def record(
     folder: Path,
     envs: CADVectorEnv,
-    driver: BatchPolicy | None,
+    policy: BatchPolicy | None,
     seeds: Sequence[int],
     advance: Callable[[int], object],
     mixing: float = 0.0,
-) -> list[Recording]:
+) -> list[Demonstrations]:
     """Drive an episode per seed, ask the expert in every frame, and keep the shards that are already there.
 
-    Without a driver the expert drives; beside one it takes a share of the decisions, `mixing`. `advance` is told how
+    Without a policy the expert drives; beside one it takes a share of the decisions, `mixing`. `advance` is told how
     many episodes were finished. Every shard is written whole or not at all, so two processes may record at once; what
     has ended of the next one is kept every second. Raises ShardError for a shard that is damaged or of other episodes.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    made_with, parts = scenes_of(envs.ensemble.simulations[0].setup), []
+    made_with, parts = scenes_of(envs.batch.simulations[0].setup), []
     for start in range(0, len(seeds), SHARD_EPISODES):
         wanted = list(seeds[start : start + SHARD_EPISODES])
         path = folder / f"shard_{start // SHARD_EPISODES:05d}.npz"
         begun = path.with_suffix(".begun.npz")
         if not path.exists():
-            write_shard(path, _completed(begun, made_with, wanted, partial(_drive, envs, driver, mixing)), made_with)
+            write_shard(path, _completed(begun, made_with, wanted, partial(_drive, envs, policy, mixing)), made_with)
         begun.unlink(missing_ok=True)
         part = read_shard(path, made_with)
         if part.seed.tolist() != wanted:
@@ -109,7 +109,7 @@ def record(
     return parts
 
 
-def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[Any], list[int]]:
+def replay(recorded: Demonstrations, envs: CADVectorEnv, look: Look) -> tuple[list[Any], list[int]]:
     """Drive the episodes as they were driven, in whatever is sensed and shared in `envs`.
 
     What was looked at in every frame and the expert's labels (F,), an episode after another.
@@ -123,7 +123,7 @@ def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[An
         if (at >= recorded.length[episodes]).any():
             raise _unlike(recorded, int(episodes[at >= recorded.length[episodes]][0]))
         for place, episode in zip(which.tolist(), episodes.tolist(), strict=True):
-            looks[episode].append(look(envs.ensemble.simulations[place], envs.ensemble.observation(place)))
+            looks[episode].append(look(envs.batch.simulations[place], envs.batch.observation(place)))
         action: Ints = recorded.action[first[episodes] + at].astype(np.int64)
         return action
 
@@ -136,13 +136,13 @@ def replay(recorded: Recording, envs: CADVectorEnv, look: Look) -> tuple[list[An
     return [seen for of in looks for seen in of], recorded.label.tolist()
 
 
-def _unlike(recorded: Recording, episode: int) -> ReplayError:
+def _unlike(recorded: Demonstrations, episode: int) -> ReplayError:
     return ReplayError(f"episode {recorded.seed[episode]} does not end as it was recorded: other settings or scenes")
 
 
-def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driven: Driven) -> Recording:
+def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driven: Driven) -> Demonstrations:
     """The episodes of a shard, in their order; those that are in the file `begun` are not driven again."""
-    known: list[Recording] = []
+    known: list[Demonstrations] = []
     if begun.exists():
         try:
             known = [read_shard(begun, made_with)]
@@ -160,27 +160,29 @@ def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driv
     return joined(known).in_order(seeds)
 
 
-def _drive(envs: CADVectorEnv, driver: BatchPolicy | None, mixing: float, seeds: Sequence[int]) -> Iterator[Recording]:
+def _drive(
+    envs: CADVectorEnv, policy: BatchPolicy | None, mixing: float, seeds: Sequence[int]
+) -> Iterator[Demonstrations]:
     """One episode after another, as they end."""
-    expert, ensemble = Expert(), envs.ensemble
+    expert, batch = Expert(), envs.batch
     actions: list[list[int]] = [[] for _ in seeds]
     labels: list[list[int]] = [[] for _ in seeds]
-    chance = [np.random.default_rng([seed, 1]) for seed in seeds]
+    rng = [np.random.default_rng([seed, 1]) for seed in seeds]
 
     def decide(which: Ints, episodes: Ints) -> Ints:
-        label = expert.act_batch(ensemble.truths(which))
+        label = expert.act_batch(batch.truths(which))
         action = label
-        if driver is not None:
-            seen = {name: part[which] for name, part in ensemble.observations.items()}
-            helped: Bools = np.array([chance[episode].random() < mixing for episode in episodes])
-            action = np.where(helped, label, driver.act_batch(seen))
+        if policy is not None:
+            seen = {name: part[which] for name, part in batch.observations.items()}
+            helped: Bools = np.array([rng[episode].random() < mixing for episode in episodes])
+            action = np.where(helped, label, policy.act_batch(seen))
         for episode, chosen, right in zip(episodes.tolist(), action.tolist(), label.tolist(), strict=True):
             actions[episode].append(chosen)
             labels[episode].append(right)
         return action
 
     for episode, outcome in _play(envs, seeds, decide):
-        yield Recording(
+        yield Demonstrations(
             np.array([seeds[episode]], np.int64), np.array([len(actions[episode])], np.int64),
             np.array([outcome], np.int8), np.array(actions[episode], np.int8), np.array(labels[episode], np.int8),
         )  # fmt: skip
@@ -191,19 +193,19 @@ def _play(envs: CADVectorEnv, seeds: Sequence[int], decide: Callable[[Ints, Ints
 
     `decide` is given the scenes that go on, (n,), and which episodes they play, (n,), and gives their actions (n,).
     """
-    ensemble = envs.ensemble
-    waiting, free, going = iter(enumerate(seeds)), list(range(len(envs.ensemble))), dict[int, int]()
+    batch = envs.batch
+    waiting, free, going = iter(enumerate(seeds)), list(range(len(envs.batch))), dict[int, int]()
     while True:
         for place, (episode, seed) in zip(free, waiting, strict=False):
-            ensemble.start(place, seed)
+            batch.start(place, seed)
             going[place] = episode
         if not going:
             return
         which = np.array(list(going))
-        ensemble.step(which, decide(which, np.array(list(going.values()))))
-        free = which[ensemble.outcomes[which] != UNDER_WAY].tolist()
+        batch.step(which, decide(which, np.array(list(going.values()))))
+        free = which[batch.outcomes[which] != UNDER_WAY].tolist()
         for place in free:
-            yield going.pop(place), int(ensemble.outcomes[place])
+            yield going.pop(place), int(batch.outcomes[place])
 
 
 def scenes_of(setup: Setup) -> dict[str, Any]:
@@ -215,7 +217,7 @@ def scenes_of(setup: Setup) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_shard(path: Path, recorded: Recording, made_with: Mapping[str, Any]) -> None:
+def write_shard(path: Path, recorded: Demonstrations, made_with: Mapping[str, Any]) -> None:
     """Write a shard whole or not at all."""
     meta = json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with})
     archive = io.BytesIO()
@@ -223,12 +225,12 @@ def write_shard(path: Path, recorded: Recording, made_with: Mapping[str, Any]) -
     replace_file(path, archive.getvalue())
 
 
-def read_shard(path: Path, made_with: Mapping[str, Any]) -> Recording:
+def read_shard(path: Path, made_with: Mapping[str, Any]) -> Demonstrations:
     """Read a shard back; ShardError for one that is missing, damaged, or made with something else."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             meta = json.loads(str(archive["meta"]))
-            recorded = Recording(**{name: archive[name] for name in _ARRAYS})
+            recorded = Demonstrations(**{name: archive[name] for name in _ARRAYS})
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise ShardError(f"{path}: not a readable shard ({str(error) or type(error).__name__})") from None
     wanted = json.loads(json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with}))
@@ -240,7 +242,7 @@ def read_shard(path: Path, made_with: Mapping[str, Any]) -> Recording:
     return recorded
 
 
-def _check(path: Path, recorded: Recording) -> None:
+def _check(path: Path, recorded: Demonstrations) -> None:
     """The zip's own checksums find flipped bits; this finds a shard that was put together wrongly."""
     count, frames = len(recorded), int(recorded.length.sum())
     sound = (

@@ -20,53 +20,55 @@ from torch import nn
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
 from cad_env.simulation.setup import Setup
-from policies.spec import Family, Frames
-from policies.training.demonstrations import Recording, replay, scenes_of
+from policies.spec import Frames, NetworkSpec
+from policies.training.demonstrations import Demonstrations, replay, scenes_of
 
 FORMAT = 1
 _CHECKSUM = hashlib.sha256().digest_size  # bytes, at the end of a file
 
 
-def frames_of(folder: Path, recorded: Recording, envs: CADVectorEnv, family: Family, network: nn.Module) -> Frames:
-    """The frames of recorded episodes as `family` sees them in `envs`: from `folder`, or replayed and put there.
+def frames_of(
+    folder: Path, recorded: Demonstrations, envs: CADVectorEnv, spec: NetworkSpec, network: nn.Module
+) -> Frames:
+    """The frames of recorded episodes as `spec` sees them in `envs`: from `folder`, or replayed and put there.
 
     Raises ReplayError as `replay` does, and nothing because of the folder.
     """
-    if family.kept_as is None:
-        return family.frames(*replay(recorded, envs, family.look))
-    key, episodes = _key(envs.ensemble.simulations[0].setup, family, network), _digest_of(recorded)
-    path = folder / f"{family.name}_{hashlib.sha256(key.encode()).hexdigest()[:16]}" / f"{episodes}.npz"
-    frames = _read(path, key + episodes, family.kept_as)
+    if spec.kept_as is None:
+        return spec.frames(*replay(recorded, envs, spec.look))
+    key, episodes = _key(envs.batch.simulations[0].setup, spec, network), _digest_of(recorded)
+    path = folder / f"{spec.name}_{hashlib.sha256(key.encode()).hexdigest()[:16]}" / f"{episodes}.npz"
+    frames = _read(path, key + episodes, spec.kept_as)
     if frames is None:
-        frames = family.frames(*replay(recorded, envs, family.look))
+        frames = spec.frames(*replay(recorded, envs, spec.look))
         with suppress(OSError):  # a full or a read-only disk costs time the next time, and no more
             _write(path, key + episodes, frames)
     return frames
 
 
-def _key(setup: Setup, family: Family, network: nn.Module) -> str:
+def _key(setup: Setup, spec: NetworkSpec, network: nn.Module) -> str:
     """All that frames depend on beside their episodes, as JSON."""
     made_with = {
-        **vars(setup), **scenes_of(setup), "format": FORMAT, "family": family.name,
-        "looked with": family.looked_with(network.config), "code": _code_of(type(family).__module__),
+        **vars(setup), **scenes_of(setup), "format": FORMAT, "spec": spec.name,
+        "looked with": spec.looked_with(network.config), "code": _code_of(type(spec).__module__),
     }  # fmt: skip
     return json.dumps(made_with, default=_settings, sort_keys=True)
 
 
 def _settings(of: object) -> dict[str, Any]:
-    """Those of a sensor, a radio or clouds; the codec is the family's, and what it reads is in `looked_with`."""
+    """Those of a sensor, a radio or clouds; the codec is the spec's, and what it reads is in `looked_with`."""
     return {name: value for name, value in vars(of).items() if name != "codec"}
 
 
 @cache
 def _code_of(module: str) -> str:
-    """Digest of the code of a family and of all that stands beside it, and here: an edit may change what is kept."""
+    """Digest of the code of a spec and of all that stands beside it, and here: an edit may change what is kept."""
     folders = {Path(__file__).parent, Path(str(sys.modules[module].__file__)).parent}
     sources = sorted(path for folder in folders for path in folder.glob("*.py"))
     return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in sources)).hexdigest()
 
 
-def _digest_of(recorded: Recording) -> str:
+def _digest_of(recorded: Demonstrations) -> str:
     known = hashlib.sha256()
     for name, value in vars(recorded).items():
         known.update(f"{name} {value.dtype} {value.shape}".encode() + value.tobytes())

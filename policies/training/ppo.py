@@ -20,9 +20,10 @@ from torch import Tensor, nn
 
 from cad_env.config import check_range, radio_config
 from cad_env.scenarios import SCENARIOS, scenario_named
+from policies.layers import Linear
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.stgraph.compiled.module import fused_embedding
-from policies.stgraph.network import Linear, StGraphConfig, StGraphNet
+from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.training.cloning import load_state, save_state
 from policies.training.sb3_env import Scenes
 

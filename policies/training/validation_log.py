@@ -15,7 +15,7 @@ Row = Mapping[str, Any]
 
 
 def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """What a driver did in validation episodes of one scenario."""
+    """What a policy did in validation episodes of one scenario."""
     outcomes = [episode.outcome for episode in episodes]
     calm = [episode for episode in episodes if not episode.hazard]
     return {
@@ -27,7 +27,7 @@ def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def worth(rows: Iterable[Row]) -> Worth:
-    """The worth of a driver by its summaries, one a scenario, all of equally many episodes."""
+    """The worth of a policy by its summaries, one a scenario, all of equally many episodes."""
     found = list(rows)
     failures, needless = (sum(row[name] for row in found) for name in ("failures", "needless_brakes"))
     return Worth(failures, needless, sum(row["mean_time"] for row in found) / len(found))
@@ -63,7 +63,7 @@ class Log:
         self.rows = [row for row in self.rows if (row["round"], row["segment"]) != (turn, segment)]
         self._write()
 
-    def drivers(self) -> list[tuple[int, int, float]]:
+    def ranked(self) -> list[tuple[int, int, float]]:
         """(round, segment, threshold) of all that has rows, those that are worth most first."""
         found = dict.fromkeys((row["round"], row["segment"], row["threshold"]) for row in self.rows)
         return sorted(found, key=lambda which: worth(self.of(*which)))

@@ -8,105 +8,107 @@ import torch
 from torch.nn.functional import cross_entropy
 
 from baselines.evaluation.settings import Settings
-from baselines.learned import ROWS, SHARED, row_named
-from baselines.methods import contender_named
+from baselines.learned import LEARNED, SHARED, learned_named
+from baselines.methods import method_named
 from baselines.training.config import Budget, course_of
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
 from policies.model_folder import SavedModel, save_model
-from policies.registry import FAMILIES, family_named
-from policies.spec import Family, Frames
+from policies.registry import SPECS, spec_named
+from policies.spec import Frames, NetworkSpec
 from policies.training.cloning import load_state, save_state
 from policies.training.dagger import Course
-from policies.training.demonstrations import Recording, joined, record, replay
+from policies.training.demonstrations import Demonstrations, joined, record, replay
 
 torch.set_num_threads(1)
 
-BUDGET = Budget(("left_turn",), "dsrc", episodes=6, corrections=1, steps=4, validation=1, corrected_episodes=1)
+BUDGET = Budget(("left_turn",), "dsrc", episodes=6, dagger_rounds=1, steps=4, validation=1, dagger_episodes=1)
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Demonstrations:
     return joined(record(tmp_path_factory.mktemp("two"), CADVectorEnv(2, radio="none"), None, (3, 4), lambda n: None))
 
 
-def course(name: str) -> tuple[Course, Family]:
-    made = course_of(row_named(name), 1, BUDGET)
-    return made, family_named(made.family)
+def course(name: str) -> tuple[Course, NetworkSpec]:
+    made = course_of(learned_named(name), 1, BUDGET)
+    return made, spec_named(made.spec)
 
 
-def some_frames(name: str, recorded: Recording) -> Frames:
-    made, family = course(name)
-    network = family.build(made.network, seed=1)
-    envs = CADVectorEnv(2, radio=made.radio, depth=made.depth, **family.environment(network))
-    return family.frames(*replay(recorded, envs, family.look))
+def some_frames(name: str, recorded: Demonstrations) -> Frames:
+    made, spec = course(name)
+    network = spec.build(made.network, seed=1)
+    envs = CADVectorEnv(2, radio=made.radio, depth=made.depth, **spec.environment(network))
+    return spec.frames(*replay(recorded, envs, spec.look))
 
 
-@pytest.mark.parametrize("name", ROWS)
-def test_a_row_learns_is_kept_and_drives(name: str, recorded: Recording, tmp_path: Path) -> None:
-    made, family = course(name)
-    network, frames = family.build(made.network, seed=1), some_frames(name, recorded)
+@pytest.mark.parametrize("name", LEARNED)
+def test_a_row_learns_is_kept_and_drives(name: str, recorded: Demonstrations, tmp_path: Path) -> None:
+    made, spec = course(name)
+    network, frames = spec.build(made.network, seed=1), some_frames(name, recorded)
     assert len(frames) == len(recorded.label)
     batch = {key: torch.from_numpy(part) for key, part in frames.batch(np.arange(0, len(frames), 9)).items()}
-    logits = family.logits(network, batch)
+    logits = spec.logits(network, batch)
     assert logits.shape == (len(batch["command"]), 2)
     cross_entropy(logits, torch.arange(len(logits)) % 2).backward()
     for part, weights in network.named_parameters():
         assert weights.grad is not None, part
         assert bool(weights.grad.isfinite().all()), part
         assert bool(weights.grad.any()), part
-    folder = tmp_path / row_named(name).model
-    save_model(folder, SavedModel(network, 1.0, {}, family))  # it goes, so that the episode is short
-    driver, again = family.driver(network, 1.0), contender_named(name).make_policy(tmp_path)
-    settings = Settings(scenario=("left_turn",), contender=(name,), policy=(tmp_path,), radio=made.radio)
-    envs = CADVectorEnv(2, **settings.environment("left_turn", contender_named(name)))
+    folder = tmp_path / learned_named(name).model
+    save_model(folder, SavedModel(network, 1.0, {}, spec))  # it goes, so that the episode is short
+    policy, again = spec.policy(network, 1.0), method_named(name).make_policy(tmp_path)
+    settings = Settings(scenario=("left_turn",), method=(name,), models=(tmp_path,), radio=made.radio)
+    envs = CADVectorEnv(2, **settings.environment("left_turn", method_named(name)))
     seen, _ = envs.reset(seed=3)
-    np.testing.assert_array_equal(driver.brake_probability(seen), again.brake_probability(seen))
+    np.testing.assert_array_equal(policy.brake_probability(seen), again.brake_probability(seen))
     first = next(rollouts(envs, again, [3]))
     assert first.outcome in ("success", "collision")
-    assert (first.messages_sent.sum() > 0) == contender_named(name).shares
+    assert (first.messages_sent.sum() > 0) == method_named(name).shares
 
 
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("name", LEARNED)
 def test_the_same_seed_gives_the_same_first_weights_and_another_does_not(name: str) -> None:
-    made, family = course(name)
-    one, same, other = (family.build(made.network, seed).state_dict() for seed in (1, 1, 2))
+    made, spec = course(name)
+    one, same, other = (spec.build(made.network, seed).state_dict() for seed in (1, 1, 2))
     assert all(torch.equal(one[part], same[part]) for part in one)
     assert any(not torch.equal(one[part], other[part]) for part in one)
 
 
 def test_rows_say_what_they_share_and_own_views_share_nothing() -> None:
-    assert {row.shares for row in ROWS.values()} <= set(SHARED)
-    assert {row.family for row in ROWS.values()} <= set(FAMILIES)
+    assert {row.shares for row in LEARNED.values()} <= set(SHARED)
+    assert {row.spec for row in LEARNED.values()} <= set(SPECS)
     assert course("gat")[0].radio == "none"
     assert course("collab-gat")[0].depth == 1
 
 
 def test_rows_of_points_are_validated_on_few_episodes_and_a_clone_takes_all_its_steps_at_once() -> None:
-    budget = Budget(("left_turn",), "dsrc", episodes=6, corrections=2, steps=10, validation=60)
-    graph, points, clone = (course_of(row_named(name), 0, budget) for name in ("stgraph", "raw-points", "stgraph-bc"))
+    budget = Budget(("left_turn",), "dsrc", episodes=6, dagger_rounds=2, steps=10, validation=60)
+    graph, points, clone = (
+        course_of(learned_named(name), 0, budget) for name in ("stgraph", "raw-points", "stgraph-bc")
+    )
     assert (graph.validation, points.validation, points.final_validation) == (60, 24, 40)
-    assert (clone.corrections, clone.steps) == (0, 20)
+    assert (clone.dagger_rounds, clone.steps) == (0, 20)
 
 
 def test_an_unknown_row_or_family_is_refused_with_the_choices() -> None:
     with pytest.raises(ValueError, match=r"unknown row 'gta': choose among stgraph, .*gat"):
-        row_named("gta")
-    with pytest.raises(ValueError, match=r"unknown family 'gta': choose among stgraph, "):
-        family_named("gta")
+        learned_named("gta")
+    with pytest.raises(ValueError, match=r"unknown spec 'gta': choose among stgraph, "):
+        spec_named("gta")
 
 
 def test_whoever_sees_only_the_command_learns_which_one_is_dangerous() -> None:
-    family = family_named("command")
-    network = family.build(family.config_type(), seed=0)
+    spec = spec_named("command")
+    network = spec.build(spec.config_type(), seed=0)
     optimiser = torch.optim.Adam(network.parameters(), lr=0.1)
     command = torch.eye(6)
     for _ in range(50):
         optimiser.zero_grad()
-        cross_entropy(family.logits(network, {"command": command}), (torch.arange(6) == 1).long()).backward()
+        cross_entropy(spec.logits(network, {"command": command}), (torch.arange(6) == 1).long()).backward()
         optimiser.step()
     seen = {"command": np.eye(6, dtype=np.int8)}
-    assert family.driver(network, 0.5).act_batch(seen).tolist() == [0, 1, 0, 0, 0, 0]
+    assert spec.policy(network, 0.5).act_batch(seen).tolist() == [0, 1, 0, 0, 0, 0]
 
 
 def test_a_checkpoint_of_another_row_is_refused(tmp_path: Path) -> None:

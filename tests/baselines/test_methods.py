@@ -6,62 +6,62 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.methods import CONTENDERS, SHIPPED, Always, contender_named, shipped_models
+from baselines.methods import METHODS, SHIPPED, Always, method_named, shipped_models
 from cad_env.envs.single import CADEnv
 from cad_env.scoring.rollout import BatchPolicy, rollout
 from cad_env.types import BRAKE, GO
 from policies.model_folder import ModelError, SavedModel, save_model
 from policies.stgraph.network import StGraphNet
-from policies.threshold_policy import LearnedPolicy
+from policies.stgraph.policy import StGraphPolicy
 
 
 @pytest.fixture
 def models(tmp_path: Path) -> Path:
-    for name, seed in (("shared", 1), ("own", 2)):
+    for name, seed in (("stgraph", 1), ("stgraph-own", 2)):
         save_model(tmp_path / name, SavedModel(StGraphNet(seed=seed), 0.25 * seed))
     return tmp_path
 
 
 def test_the_table_has_its_rows_by_their_own_names() -> None:
-    assert tuple(CONTENDERS)[: len(SHIPPED)] == SHIPPED
-    assert all(contender_named(name).name == name for name in CONTENDERS)
+    assert tuple(METHODS)[: len(SHIPPED)] == SHIPPED
+    assert all(method_named(name).name == name for name in METHODS)
 
 
 def test_of_those_that_ship_only_two_are_sent_anything() -> None:
-    assert [name for name in SHIPPED if contender_named(name).shares] == ["planner-shared", "stgraph"]
+    assert [name for name in SHIPPED if method_named(name).shares] == ["planner-shared", "stgraph"]
 
 
 def test_only_the_expert_sees_the_truth(models: Path) -> None:
-    assert [name for name in SHIPPED if contender_named(name).make_policy(models).privileged] == ["expert"]
+    assert [name for name in SHIPPED if method_named(name).make_policy(models).privileged] == ["expert"]
 
 
-def test_an_unknown_contender_is_refused_with_the_choices() -> None:
-    with pytest.raises(ValueError, match=r"unknown contender 'planer': choose among always-go, .*, stgraph-own, "):
-        contender_named("planer")
+def test_an_unknown_method_is_refused_with_the_choices() -> None:
+    with pytest.raises(ValueError, match=r"unknown method 'planer': choose among always-go, .*, stgraph-own, "):
+        method_named("planer")
 
 
 def test_always_is_always(models: Path) -> None:
     for name, action in (("always-go", GO), ("always-brake", BRAKE)):
-        assert contender_named(name).make_policy(models) == Always(action)
+        assert method_named(name).make_policy(models) == Always(action)
 
 
-def test_each_learned_contender_drives_its_own_model(models: Path) -> None:
-    shared, own = (contender_named(name).make_policy(models) for name in ("stgraph", "stgraph-own"))
-    assert isinstance(shared, LearnedPolicy)
-    assert isinstance(own, LearnedPolicy)
+def test_each_learned_method_drives_its_own_model(models: Path) -> None:
+    shared, own = (method_named(name).make_policy(models) for name in ("stgraph", "stgraph-own"))
+    assert isinstance(shared, StGraphPolicy)
+    assert isinstance(own, StGraphPolicy)
     assert isinstance(shared, BatchPolicy)
     assert (shared.threshold, own.threshold) == (0.25, 0.5)
 
 
 def test_a_missing_model_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"no trained model for stgraph-own.*{tmp_path / 'own'}"):
-        contender_named("stgraph-own").make_policy(tmp_path)
+        method_named("stgraph-own").make_policy(tmp_path)
 
 
 def test_a_damaged_model_is_refused(models: Path) -> None:
-    os.truncate(models / "shared" / "model.safetensors", 100)
+    os.truncate(models / "stgraph" / "model.safetensors", 100)
     with pytest.raises(ModelError, match="truncated or altered"):
-        contender_named("stgraph").make_policy(models)
+        method_named("stgraph").make_policy(models)
 
 
 def test_shipped_models_are_looked_for_in_the_package() -> None:

@@ -12,10 +12,10 @@ import cad_env
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_names, check_range, radio_config
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.graph import nodes_and_edges
-from cad_env.pipeline.graph_arrays import as_graph, empty_rows, row_of, slide
+from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays, row_of, slide
 from cad_env.pipeline.sense import detect
 from cad_env.simulation.setup import Setup, setup_from
-from cad_env.types import BRAKE, FRAMES, GO, ROWS, STEP, Command, Graph, Message, Policy
+from cad_env.types import BRAKE, FRAMES, GO, MAX_TRACKS, STEP, Command, Graph, Message, Policy
 
 RANGES = [
     (SensorConfig, "sensor", "range", 1.0, 500.0),
@@ -111,7 +111,7 @@ def test_detections_say_nothing_of_who_was_detected():
 
 
 def test_a_graph_s_rows_slide_into_the_past_and_go():
-    rows = empty_rows()
+    rows = empty_graph_arrays()
     assert [row_of(rows, 7), row_of(rows, 9), row_of(rows, 7)] == [0, 1, 0]
     rows.mask[0, -1] = True
     rows.position[0, -1] = 1.0, 2.0, 3.0
@@ -125,14 +125,14 @@ def test_a_graph_s_rows_slide_into_the_past_and_go():
 
 
 def test_a_full_graph_has_no_row_for_a_stranger():
-    rows = empty_rows()
-    assert [row_of(rows, 100 + k) for k in range(ROWS)] == list(range(ROWS))
+    rows = empty_graph_arrays()
+    assert [row_of(rows, 100 + k) for k in range(MAX_TRACKS)] == list(range(MAX_TRACKS))
     assert row_of(rows, 5) == -1
     assert row_of(rows, 103) == 3
 
 
 def test_a_graph_holds_no_rubbish_where_its_mask_is_not_set():
-    rows = empty_rows()
+    rows = empty_graph_arrays()
     rows.position[:] = 9.0
     row_of(rows, 4)
     rows.mask[0, 3] = True

@@ -21,7 +21,7 @@ import evaluate
 from cad_env.envs.single import CADEnv
 from cad_env.lidar.config import CloudConfig
 from cad_env.scenarios import SCENARIOS
-from policies.registry import family_named
+from policies.registry import spec_named
 from policies.training import ppo
 from policies.training.cloning import Recipe
 from policies.training.dagger import Course, train
@@ -69,14 +69,14 @@ def weights(folder: Path) -> str:
 
 
 def trained(network: str, folder: Path) -> str:
-    """Digest of a network that has learned for a moment, with corrections, on two scenarios."""
-    family = family_named(network)
+    """Digest of a network that has learned for a moment, with dagger_rounds, on two scenarios."""
+    spec = spec_named(network)
     course = Course(
-        scenarios=tuple(SCENARIOS)[:2], radio="ideal", episodes=6, corrections=1, corrected_episodes=1, steps=6,
-        segments=2, validation=1, final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=8), family=family.name,
-        network=family.config_type(),
+        scenarios=tuple(SCENARIOS)[:2], radio="ideal", episodes=6, dagger_rounds=1, dagger_episodes=1, steps=6,
+        segments=2, validation=1, final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=8), spec=spec.name,
+        network=spec.config_type(),
     )  # fmt: skip
-    train(course, folder, lambda done: None, family_named)
+    train(course, folder, lambda done: None)
     return weights(folder)
 
 
@@ -89,7 +89,7 @@ def trained_by_reward(folder: Path) -> str:
 
 def scored(folder: Path) -> str:
     """Digest of the values of an `episodes.jsonl`: its keys may be renamed."""
-    words = ["--contender", *SCORED, "--episodes", "3", "--no-report", "--out", str(folder)]
+    words = ["--method", *SCORED, "--episodes", "3", "--no-report", "--out", str(folder)]
     assert evaluate.main(words) == 0
     lines = (folder / "episodes.jsonl").read_text().splitlines()
     return hashlib.sha256(repr([list(json.loads(line).values()) for line in lines]).encode()).hexdigest()[:16]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.paper.folder import ROWS
+from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.open_loop import OpenEpisode, OpenLoop, open_path, write_open_loop
 from baselines.paper.sweeps import SWEEPS
 from cad_env.scoring.scorecard import Record
@@ -21,14 +21,14 @@ SIZE = {"planner-shared": 300, "stgraph": 300, "stgraph-no-edges": 300, "stgraph
 
 
 def record(
-    scene: str, contender: str, seed: int, rng: np.random.Generator, success: float, size: int = 0
+    scene: str, method: str, seed: int, rng: np.random.Generator, success: float, size: int = 0
 ) -> Record:  # fmt: skip
     """One episode that succeeds with that probability, of messages of that size; 0 for none."""
     outcome = "success" if rng.random() < success else ("collision" if rng.random() < 0.7 else "timeout")
     time, hazard = round(float(rng.uniform(8.0, 15.0)), 1), seed % 2 == 0
     sent = round(time * 40) if size else 0
     return Record(
-        scene, contender, seed, hazard, outcome, time, int(rng.integers(0, 4)) if not hazard else 20,
+        scene, method, seed, hazard, outcome, time, int(rng.integers(0, 4)) if not hazard else 20,
         float(size) if size else None, round(1.7 * size) if size else None, sent, round(0.04 * sent), sent * size,
         round(float(rng.exponential(2.0)), 3), 0.1 if hazard else None, 4, round(float(rng.uniform(0, 6)), 3),
     )  # fmt: skip
@@ -47,7 +47,7 @@ def write_closed(
     """Every row in every scene; who is not trained is in training seed 0 only."""
     rng = np.random.default_rng(1)
     for training_seed in range(training_seeds):
-        names = [name for name in ROWS if name in LEARNED or training_seed == 0]
+        names = [name for name in TABLE_ORDER if name in LEARNED or training_seed == 0]
         records = [
             record(scene, name, seed, rng, SUCCESS.get(name, 0.99), SIZE.get(name, 0))
             for scene in scenes
@@ -78,7 +78,7 @@ def open_episode(seed: int, rng: np.random.Generator, size: int = 300, frames: i
 
 
 def write_sweeps(folder: Path, episodes: int = 40, scenes: Sequence[str] = SCENES) -> None:
-    """Every point; the more it asks of a contender, the less it succeeds."""
+    """Every point; the more it asks of a method, the less it succeeds."""
     rng = np.random.default_rng(3)
     for sweep in SWEEPS.values():
         for place, point in enumerate(sweep.points):
@@ -86,7 +86,7 @@ def write_sweeps(folder: Path, episodes: int = 40, scenes: Sequence[str] = SCENE
             records = [
                 record(scene, name, seed, rng, 0.99 - 0.1 * place * (name != "stgraph"), size)
                 for scene in scenes
-                for name in point.contenders
+                for name in point.methods
                 for seed in range(1_000_000, 1_000_000 + episodes)
             ]
             write_episodes(folder / point.folder, records)

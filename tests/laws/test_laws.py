@@ -10,7 +10,7 @@ from scenes import started, steps, whole_episode
 from cad_env.config import RadioConfig, radio_config
 from cad_env.pipeline.codec import ACCEPTED as READ
 from cad_env.pipeline.codec import decode, read
-from cad_env.pipeline.graph_arrays import as_graph, empty_rows
+from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import as_observation
 from cad_env.pipeline.radio import ACCEPTED, OVER_BUDGET, link_of
@@ -18,8 +18,8 @@ from cad_env.pipeline.step import ALL, OTHERS, Fleet, new_fleet
 from cad_env.pipeline.track import BIRTH_HITS
 from cad_env.scenarios import SCENARIOS
 from cad_env.scenarios.ranges import DENSITIES
-from cad_env.simulation.scene_step import Board, play
-from cad_env.types import BRAKE, FRAMES, GO, MERGED_ROWS, Rows
+from cad_env.simulation.scene_step import BatchState, play
+from cad_env.types import BRAKE, FRAMES, GO, MAX_MERGED_TRACKS, GraphArrays
 from cad_env.world.state import OFF
 
 seeds = st.integers(0, 2**31 - 1)
@@ -57,10 +57,12 @@ def test_law_1_a_budget_of_zero_is_no_radio_to_the_last_bit(where: dict, seed: i
 def test_law_1_no_radio_is_as_if_no_other_vehicle_were_connected(where: dict, seed: int):
     simulation, alone = started(seed, **where, radio="none"), np.array([0])
     fleet = new_fleet(alone, len(simulation.world.speed), 1, link_of(radio_config("none")))
-    board = Board(1)
-    board.put(0, simulation._live._replace(fleet=fleet, told=board.told_at(0)))  # the same world, another fleet
+    batch_state = BatchState(1)
+    batch_state.put(
+        0, simulation._scene_state._replace(fleet=fleet, told=batch_state.told_at(0))
+    )  # the same world, another fleet
     for _ in steps(simulation, action=lambda agent: BRAKE if agent == 0 and seed % 2 else GO):
-        play(board.shelf, alone, alone, False)
+        play(batch_state.records, alone, alone, False)
         assert differences(simulation.observation(0), view_of(fleet, 0)) == []
 
 
@@ -113,19 +115,23 @@ def test_law_2_the_same_holds_for_every_receiver():
 # --- 4. Order and repetition, in the pipeline ------------------------------------------------------------------
 
 
-def heard_again(fleet: Fleet, senders: list[int]) -> Rows:
+def heard_again(fleet: Fleet, senders: list[int]) -> GraphArrays:
     """What the ego would know if it heard each of these senders' newest messages once more, in this order."""
-    kept = Rows(*(part[0].copy() for part in fleet.kept))
-    message, header = empty_rows(), np.zeros(3, np.int64)
+    kept = GraphArrays(*(part[0].copy() for part in fleet.kept))
+    message, header = empty_graph_arrays(), np.zeros(3, np.int64)
     for sender in senders:
         length = int(fleet.air.length[0, sender])
         assert read(fleet.air.payload[0, sender], length, header, message) == READ
-        receive(Rows(*(part[sender] for part in kept)), message, int(header[2]), 0)
-    merged, weight, trail = empty_rows(rows=MERGED_ROWS), np.zeros((MERGED_ROWS, FRAMES)), fleet.trail[0]
+        receive(GraphArrays(*(part[sender] for part in kept)), message, int(header[2]), 0)
+    merged, weight, trail = (
+        empty_graph_arrays(rows=MAX_MERGED_TRACKS),
+        np.zeros((MAX_MERGED_TRACKS, FRAMES)),
+        fleet.trail[0],
+    )
     start_merge(merged, weight)
-    take_in(merged, weight, Rows(*(part[0] for part in fleet.window)), OTHERS, trail)
+    take_in(merged, weight, GraphArrays(*(part[0] for part in fleet.window)), OTHERS, trail)
     for sender in range(1, len(fleet.rows)):
-        take_in(merged, weight, Rows(*(part[sender] for part in kept)), ALL, trail)
+        take_in(merged, weight, GraphArrays(*(part[sender] for part in kept)), ALL, trail)
     finish_merge(merged, trail)
     return merged
 

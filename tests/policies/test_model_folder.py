@@ -54,7 +54,7 @@ def test_a_model_comes_back_as_it_was(folder: Path) -> None:
     assert model.training == {"scene": "left_turn", "epochs": 4}
     before = StGraphNet(StGraphConfig(velocity=True), seed=3).state_dict()
     assert all(torch.equal(before[name], value) for name, value in model.network.state_dict().items())
-    assert model.driver().threshold == 0.3
+    assert model.policy().threshold == 0.3
 
 
 def test_saving_again_replaces_the_model_and_leaves_nothing_else(folder: Path) -> None:
@@ -67,14 +67,6 @@ def test_the_same_model_saves_to_the_same_bytes(folder: Path, tmp_path: Path) ->
     save_model(tmp_path / "again", load_model(folder))
     for name in (CONFIG, WEIGHTS):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
-
-
-def test_a_folder_that_names_no_family_holds_the_papers_network(folder: Path) -> None:
-    config = json.loads((folder / CONFIG).read_text())
-    assert config.pop("family") == "stgraph"
-    (folder / CONFIG).write_text(json.dumps(config))
-    assert load_model(folder).family.name == "stgraph"
-    assert load_model(folder).network.config == StGraphConfig(velocity=True)
 
 
 @pytest.mark.parametrize("file", [CONFIG, WEIGHTS])
@@ -112,8 +104,8 @@ def test_a_config_that_is_not_text_is_refused(folder: Path) -> None:
     [
         ({"format": 2}, "format must be 1, got 2"),
         ({"format": True}, "format must be 1"),
-        ({"family": "treegraph"}, "unknown family 'treegraph'"),
-        ({"family": 3}, "family must be a str"),
+        ({"spec": "treegraph"}, "unknown spec 'treegraph'"),
+        ({"spec": 3}, "spec must be a str"),
         ({"colour": "red"}, "unknown key 'colour'"),
         ({"threshold": 1.5}, "threshold must be"),
         ({"threshold": None}, "threshold must be"),

@@ -7,7 +7,7 @@ from pathlib import Path
 from baselines.evaluation.report.page import html_page
 from baselines.evaluation.report.plots import all_plots
 from baselines.evaluation.store import gif_of, read_records, read_settings
-from baselines.methods import CONTENDERS, NOTHING
+from baselines.methods import METHODS, NOTHING
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import Record, scorecards
 
@@ -40,7 +40,7 @@ def _animations(folder: Path, records: Sequence[Record]) -> tuple[dict[str, byte
         if room < 0:
             break
         scene, kind = record.scenario.replace("_", " "), "a hazard" if record.hazard else "no hazard"
-        shown[f"{scene}, {record.contender}: {record.outcome}, {kind}, seed {record.seed}"] = data
+        shown[f"{scene}, {record.method}: {record.outcome}, {kind}, seed {record.seed}"] = data
     return shown, len(there) - len(shown)
 
 
@@ -49,9 +49,9 @@ def _most_telling_first(records: Sequence[Record]) -> list[Record]:
     seen: Counter[tuple[str, str, str, bool]] = Counter()
     ranks = []
     for place, record in enumerate(records):
-        kind = record.scenario, record.contender, record.outcome, record.hazard
-        known = CONTENDERS.get(record.contender)
+        kind = record.scenario, record.method, record.outcome, record.hazard
+        known = METHODS.get(record.method)
         blind = known is None or known.knows == NOTHING
-        ranks.append((seen[kind], blind, not record.hazard, TELLING.index(record.outcome), record.contender, place))
+        ranks.append((seen[kind], blind, not record.hazard, TELLING.index(record.outcome), record.method, place))
         seen[kind] += 1
     return [records[place] for *_, place in sorted(ranks)]

@@ -1,7 +1,7 @@
-"""How plots look. Colour says what a contender knows, shape who decides; a panel is a scenario.
+"""How plots look. Colour says what a method knows, shape who decides; a panel is a scenario.
 
 The colours are Okabe and Ito's, which people with any common colour blindness tell apart ("Color Universal Design",
-2008); without them the shapes still tell the contenders apart.
+2008); without them the shapes still tell the methods apart.
 """
 
 import io
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
-from baselines.methods import CONTENDERS, KNOWLEDGE, NOTHING, SEEN, SENT, TRUTH
+from baselines.methods import KNOWLEDGE, METHODS, NOTHING, SEEN, SENT, TRUTH
 
 COLOURS = {NOTHING: "#555555", SEEN: "#D55E00", SENT: "#0072B2", TRUTH: "#009E73"}
 SHAPES = {"always-go": ">", "always-brake": "X", "planner-own": "s", "planner-shared": "s", "expert": "D"}
@@ -45,28 +45,28 @@ def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -
     return figure, [dict(zip(scenarios, row, strict=True)) for row in grid]
 
 
-def look(contender: str) -> dict[str, Any]:
-    """Colour and shape of a contender's points."""
-    return {"color": colour(contender), "marker": SHAPES.get(contender, "o"), "linestyle": "none"}
+def look(method: str) -> dict[str, Any]:
+    """Colour and shape of a method's points."""
+    return {"color": colour(method), "marker": SHAPES.get(method, "o"), "linestyle": "none"}
 
 
-def colour(contender: str) -> str:
+def colour(method: str) -> str:
     """By what it knows."""
-    known = CONTENDERS.get(contender)
+    known = METHODS.get(method)
     return COLOURS[known.knows if known else NOTHING]
 
 
-def knowledge_legend(figure: Figure, contenders: Iterable[str]) -> None:
-    """What the colours of these contenders say, below the panels."""
-    used = {colour(name) for name in contenders}
+def knowledge_legend(figure: Figure, methods: Iterable[str]) -> None:
+    """What the colours of these methods say, below the panels."""
+    used = {colour(name) for name in methods}
     keys = [Line2D([], [], color=COLOURS[knows], linewidth=3.0, label=knows) for knows in KNOWLEDGE]
     keys = [key for key in keys if key.get_color() in used]
     figure.legend(handles=keys, loc="outside lower left", ncols=len(keys), title="knows", alignment="left")
 
 
-def contender_legend(figure: Figure, contenders: Iterable[str]) -> None:
+def method_legend(figure: Figure, methods: Iterable[str]) -> None:
     """Which point is whose, beside the panels."""
-    keys = [Line2D([], [], label=name, **look(name)) for name in contenders]
+    keys = [Line2D([], [], label=name, **look(name)) for name in methods]
     figure.legend(handles=keys, loc="outside right center")
 
 

@@ -7,11 +7,11 @@ from itertools import groupby
 from typing import Any
 
 from baselines.evaluation.report.plots import Plot
-from baselines.methods import CONTENDERS
+from baselines.methods import METHODS
 from cad_env.scoring.scorecard import Scorecard
 from cad_env.scoring.table import TITLES, cells_of
 
-SAID_ELSEWHERE = ("scenario", "contender", "command", "episodes", "first_seed")
+SAID_ELSEWHERE = ("scenario", "method", "command", "episodes", "first_seed")
 UNITS = {"sensor_noise": "m", "gnss_noise": "m", "delay": "s", "range": "m", "depth": "frames"}
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 76rem; margin: 2rem auto;
@@ -38,7 +38,7 @@ dd { margin: 0 }
 """
 INTRODUCTION = """In each episode the ego has to cross the way of a vehicle that it cannot see, and decides ten times a
 second: go or brake. In a hazard that vehicle would hit an ego that does not brake. Connected vehicles send what they
-see over a radio; contenders differ in what they know and in how they decide."""
+see over a radio; methods differ in what they know and in how they decide."""
 LEGEND = """Rates are in per cent with their 95 % Wilson interval. Hazard: all episodes, those with a hazard (yes), or
 without (no). Time: mean until the outcome. Needless brakes: share of the episodes without a hazard in which it brakes
 at all. Bytes: of a message on average, of the largest, and in a second by all connected vehicles together. Min TTC:
@@ -70,15 +70,15 @@ def _title(rows: Sequence[Scorecard]) -> str:
     whole = [row for row in rows if row.hazard == "all"]
     scenes = list(dict.fromkeys(row.scenario.replace("_", " ") for row in whole))
     counts = sorted({row.episodes for row in whole})
-    contenders = len({row.contender for row in whole})
-    who = "1 contender" if contenders == 1 else f"{contenders} contenders"
+    methods = len({row.method for row in whole})
+    who = "1 method" if methods == 1 else f"{methods} methods"
     return f"{', '.join(scenes).capitalize()}: {who}, {counts[0]} episodes each"
 
 
 def _made_with(settings: Mapping[str, Any]) -> str:
     """The command, and everything that the episodes depend on."""
     first, count = settings["first_seed"], settings["episodes"]
-    said = {"seeds": f"{first} to {first + count - 1}, the same for every scenario and contender"}
+    said = {"seeds": f"{first} to {first + count - 1}, the same for every scenario and method"}
     said |= {name: _plain(name, value) for name, value in settings.items() if name not in SAID_ELSEWHERE}
     terms = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in said.items())
     return f"<pre>{escape(str(settings.get('command', '')))}</pre>\n<dl>{terms}</dl>"
@@ -104,7 +104,7 @@ def _plot(plot: Plot) -> str:
 def _table(scenario: str, rows: Sequence[Scorecard]) -> str:
     titles = (*TITLES[1:], "bytes/s", "min TTC s")
     head = "".join(f"<th{_kind(k)}>{escape(title)}</th>" for k, title in enumerate(titles))
-    lines = "\n".join(_lines(list(group)) for _, group in groupby(rows, lambda row: row.contender))
+    lines = "\n".join(_lines(list(group)) for _, group in groupby(rows, lambda row: row.method))
     return (
         f'<h3>{escape(scenario.replace("_", " ").capitalize())}</h3>\n<div class="wide"><table>\n'
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n{lines}\n</tbody></table></div>"
@@ -112,9 +112,9 @@ def _table(scenario: str, rows: Sequence[Scorecard]) -> str:
 
 
 def _lines(rows: Sequence[Scorecard]) -> str:
-    """The rows of one contender: all episodes under its name, then parts of them beside what it knows."""
-    known = CONTENDERS.get(rows[0].contender)
-    names = (rows[0].contender, f"knows {known.knows}" if known else "", *[""] * len(rows))
+    """The rows of one method: all episodes under its name, then parts of them beside what it knows."""
+    known = METHODS.get(rows[0].method)
+    names = (rows[0].method, f"knows {known.knows}" if known else "", *[""] * len(rows))
     return "\n".join(_line(name, row) for name, row in zip(names, rows, strict=False))
 
 

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from baselines.evaluation.report.figures import (  # fmt: skip
     as_svg,
     colour,
-    contender_legend,
     knowledge_legend,
     look,
+    method_legend,
     panels,
     styled,
 )
@@ -46,13 +46,13 @@ def all_plots(rows: Sequence[Scorecard], records: Sequence[Record]) -> list[Plot
 
 
 def collisions(rows: Sequence[Scorecard]) -> Plot:
-    """Collision rate by scenario and contender."""
+    """Collision rate by scenario and method."""
     svg = _rates(rows, lambda row: (row.collision_rate, row.collision_low, row.collision_high), "collisions")
     return Plot("Collisions", "Share of all episodes that end in a collision, with its 95 % Wilson interval.", svg)
 
 
 def successes(rows: Sequence[Scorecard]) -> Plot:
-    """Success rate by scenario and contender."""
+    """Success rate by scenario and method."""
     svg = _rates(rows, lambda row: (row.success_rate, row.success_low, row.success_high), "successes")
     caption = (
         "Share of all episodes in which the ego arrives, with its 95 % Wilson interval. Who neither arrives nor "
@@ -67,9 +67,9 @@ def _rates(rows: Sequence[Scorecard], rate_of: Callable[[Scorecard], tuple[float
     for scenario, axes in row_of_panels.items():
         for row in rows:
             if row.scenario == scenario:
-                place, (rate, *interval) = names.index(row.contender), rate_of(row)
+                place, (rate, *interval) = names.index(row.method), rate_of(row)
                 axes.errorbar(
-                    100 * rate, place, xerr=_arms(rate, *interval), clip_on=False, **look(row.contender)
+                    100 * rate, place, xerr=_arms(rate, *interval), clip_on=False, **look(row.method)
                 )  # fmt: skip
                 axes.text(105, place, f"{100 * rate:.1f}", va="center", fontsize=8.5, color="#333333")
         axes.set(xlim=(0, 100), xlabel=f"{what}, % of episodes", ylim=(len(names) - 0.5, -0.5))
@@ -84,21 +84,21 @@ def radio(rows: Sequence[Scorecard]) -> Plot:
     names, scenarios = _names(rows), _scenarios(rows)
     figure, (row_of_panels,) = panels(scenarios, 1, 3.4)
     most = max(row.bytes_per_second for row in rows) / 1000
-    silent = [name for name in names if not any(row.bytes_per_second for row in rows if row.contender == name)]
+    silent = [name for name in names if not any(row.bytes_per_second for row in rows if row.method == name)]
     zone = 0.07 * most * (len(silent) + 1)
     for scenario, axes in row_of_panels.items():
         for row in rows:
             if row.scenario == scenario:
-                beside = -zone + 0.07 * most * (silent.index(row.contender) + 1) if row.contender in silent else 0.0
+                beside = -zone + 0.07 * most * (silent.index(row.method) + 1) if row.method in silent else 0.0
                 interval = _arms(row.collision_rate, row.collision_low, row.collision_high)
                 place = row.bytes_per_second / 1000 + beside
-                axes.errorbar(place, 100 * row.collision_rate, yerr=interval, **look(row.contender))
+                axes.errorbar(place, 100 * row.collision_rate, yerr=interval, **look(row.method))
         axes.axvspan(-zone, 0.0, color="#f2f2f2", linewidth=0.0, zorder=0)
         axes.text(-0.5 * zone, 97, "nothing sent", ha="center", va="top", fontsize=8.5, color="#555555")
         axes.set(xlabel="on the air, kB/s", xlim=(-zone, 1.15 * most), ylim=(-2, 102))
         axes.set_xticks([tick for tick in axes.get_xticks() if 0.0 <= tick <= 1.15 * most])
     row_of_panels[scenarios[0]].set_ylabel("collisions, % of episodes")
-    contender_legend(figure, names)
+    method_legend(figure, names)
     caption = (
         "Collisions against all bytes that the connected vehicles of a scene send in a second, together. Up is worse, "
         "right costs more. The expert knows the truth without a radio."
@@ -107,7 +107,7 @@ def radio(rows: Sequence[Scorecard]) -> Plot:
 
 
 def timing(records: Sequence[Record]) -> Plot:
-    """Collision rate of episodes with a hazard against its timing: a row of panels for each contender."""
+    """Collision rate of episodes with a hazard against its timing: a row of panels for each method."""
     names, scenarios = _names(records), _scenarios(records)
     figure, grid = panels(scenarios, len(names), 0.9 + 0.75 * len(names), sharex="col")
     for name, row_of_panels in zip(names, grid, strict=True):
@@ -115,7 +115,7 @@ def timing(records: Sequence[Record]) -> Plot:
             here = [record for record in records if record.scenario == scenario]
             times = np.array([record.hazard_timing for record in here], float)
             edges = np.linspace(times.min(), max(times.max(), times.min() + 0.1), BINS + 1)
-            _timing_line(axes, [record for record in here if record.contender == name], edges)
+            _timing_line(axes, [record for record in here if record.method == name], edges)
             axes.set(ylim=(-4, 104), yticks=(0, 50, 100))
         row_of_panels[scenarios[0]].set_ylabel(name, rotation=0, ha="right", va="center", color=colour(name))
     for axes in grid[-1].values():
@@ -134,7 +134,7 @@ def _timing_line(axes: Axes, records: Sequence[Record], edges: Floats) -> None:
     filled = np.unique(bins)
     rates = [100 * crashed[bins == k].mean() for k in filled]
     low, high = zip(*(wilson(int(crashed[bins == k].sum()), int((bins == k).sum())) for k in filled), strict=True)
-    middle, name = (0.5 * (edges[:-1] + edges[1:]))[filled], records[0].contender
+    middle, name = (0.5 * (edges[:-1] + edges[1:]))[filled], records[0].method
     axes.fill_between(
         middle, 100 * np.array(low), 100 * np.array(high), color=colour(name), alpha=0.2, linewidth=0.0
     )  # fmt: skip
@@ -147,7 +147,7 @@ def _arms(rate: float, low: float, high: float) -> list[list[float]]:
 
 
 def _names(of: Sequence[Scorecard] | Sequence[Record]) -> list[str]:
-    return list(dict.fromkeys(one.contender for one in of))
+    return list(dict.fromkeys(one.method for one in of))
 
 
 def _scenarios(of: Sequence[Scorecard] | Sequence[Record]) -> list[str]:

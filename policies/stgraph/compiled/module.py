@@ -16,11 +16,12 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from cad_env.types import Floats
+from policies.layers import Linear
 from policies.stgraph.compiled.attention import HEADS, LayerWeights, multiply
 from policies.stgraph.compiled.passes import Batch, Weights, backward, forward
 from policies.stgraph.compiled.relation_weights import Matter
 from policies.stgraph.config import StGraphConfig
-from policies.stgraph.network import Importance, Linear, RelationLayer, StGraphNet
+from policies.stgraph.network import Importance, RelationLayer, StGraphNet
 
 _AT_ONCE = 16  # graphs: what they keep fits into a processor's cache
 

@@ -27,13 +27,13 @@ torch.set_num_threads(1)
 
 @pytest.fixture
 def models(tmp_path: Path) -> Path:
-    for name in ("shared", "own"):
+    for name in ("stgraph", "stgraph-own"):
         save_model(tmp_path / "models" / name, SavedModel(StGraphNet(seed=1), 0.5))
     return tmp_path / "models"
 
 
 def test_two_processes_give_the_files_of_one(models: Path, tmp_path: Path) -> None:
-    some = ["--scenario", "left_turn", "--contender", "stgraph", "expert", "--episodes", "26", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--method", "stgraph", "expert", "--episodes", "26", "--models", str(models)]
     assert run(tmp_path / "one", *some) == 0
     assert run(tmp_path / "two", *some, "--jobs", "2") == 0
     assert files(tmp_path / "one") == files(tmp_path / "two")
@@ -41,7 +41,7 @@ def test_two_processes_give_the_files_of_one(models: Path, tmp_path: Path) -> No
 
 def test_results_go_to_their_own_folder_unless_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert evaluate.main(["--scenario", "left_turn", "--contender", "always-go", "--episodes", "1"]) == 0
+    assert evaluate.main(["--scenario", "left_turn", "--method", "always-go", "--episodes", "1"]) == 0
     assert (tmp_path / "results" / "scores.json").exists()
 
 
@@ -52,9 +52,7 @@ def test_scenarios_come_in_the_order_they_are_asked_for() -> None:
 
 
 def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
-    asked = Settings(
-        scenario=("left_turn",), contender=("expert",), loss=0.3, jobs=2, policy=(Path("a b"),), shard="1/2"
-    )
+    asked = Settings(scenario=("left_turn",), method=("expert",), loss=0.3, jobs=2, policy=(Path("a b"),), shard="1/2")
     words = shlex.split(asked.command())
     assert words[:2] == ["python", "evaluate.py"]
     assert cli.parsed(Settings, words[2:]) == replace(asked, jobs=1, shard=None)
@@ -69,9 +67,9 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
         (["--shard", "0/2"], "shard must be i/n with i from 1 to n, such as 2/8, got '0/2'"),
         (["--shard", "3/2"], "shard must be i/n"),
         (["--shard", "half"], "shard must be i/n"),
-        (["--contender", "nobody"], "unknown contender 'nobody': choose among always-go"),
-        (["--contender", "expert", "expert"], "each once"),
-        (["--contender"], "at least one"),
+        (["--method", "nobody"], "unknown method 'nobody': choose among always-go"),
+        (["--method", "expert", "expert"], "each once"),
+        (["--method"], "at least one"),
         (["--radio", "am"], "unknown radio 'am': choose one of none, ideal, dsrc, cv2x"),
         (["--radoi", "dsrc"], "Unrecognized options: --radoi"),
         (["--episodes", "many"], "--episodes: invalid literal for int() with base 10: 'many'"),
@@ -90,7 +88,7 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
         (["--traffic", "heavy"], "traffic must be one of none, light, dense, got 'heavy'"),
         (["--penetration", "1.5"], "penetration must be a number from 0 to 1, got 1.5"),
         (["--hazard", "maybe"], "hazard must be one of all, yes, no, got 'maybe'"),
-        (["--contender", "stgraph", "--policy", "nowhere"], f"no folder {Path('nowhere', 'shared')}"),
+        (["--method", "stgraph", "--models", "nowhere"], f"no folder {Path('nowhere', 'stgraph')}"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(arguments: list[str], reason: str, refused: Refused, tmp_path: Path) -> None:
@@ -125,9 +123,9 @@ def test_help_waits_for_no_heavy_import() -> None:
 
 
 def test_another_model_in_the_same_folder_is_refused(refused: Refused, models: Path, tmp_path: Path) -> None:
-    some = ["--scenario", "left_turn", "--contender", "stgraph", "--episodes", "1", "--policy", str(models)]
+    some = ["--scenario", "left_turn", "--method", "stgraph", "--episodes", "1", "--models", str(models)]
     assert run(tmp_path / "out", *some) == 0
-    save_model(models / "shared", SavedModel(StGraphNet(seed=2), 0.5))
+    save_model(models / "stgraph", SavedModel(StGraphNet(seed=2), 0.5))
     assert "another model of stgraph (" in refused(tmp_path / "out", *some)
 
 
@@ -135,16 +133,16 @@ def test_a_threshold_takes_the_place_of_the_models_own(refused: Refused, models:
     some = [
         "--scenario",
         "left_turn",
-        "--contender",
+        "--method",
         "stgraph",
         "always-go",
         "--episodes",
         "2",
-        "--policy",
+        "--models",
         str(models),
     ]
     assert run(tmp_path / "out", *some, "--threshold", "0") == 0
-    found = {record.contender: record.outcome for record in read_records(tmp_path / "out")}
+    found = {record.method: record.outcome for record in read_records(tmp_path / "out")}
     assert found["stgraph"] == "timeout"  # whatever P(brake) is, it brakes
     assert found["always-go"] != "timeout"
     assert "another threshold (0.0, now 1.0)" in refused(tmp_path / "out", *some, "--threshold", "1")
@@ -173,9 +171,9 @@ def _lose_config(folder: Path) -> None:
 def test_a_damaged_model_is_refused(
     damage: Callable[[Path], Any], refused: Refused, models: Path, tmp_path: Path
 ) -> None:
-    damage(models / "own")
-    some = ["--scenario", "left_turn", "--contender", "always-go", "stgraph-own", "--policy", str(models)]
-    assert str(models / "own") in refused(tmp_path / "out", *some)
+    damage(models / "stgraph-own")
+    some = ["--scenario", "left_turn", "--method", "always-go", "stgraph-own", "--models", str(models)]
+    assert str(models / "stgraph-own") in refused(tmp_path / "out", *some)
 
 
 @pytest.mark.parametrize("below", ["", "deeper"])
@@ -185,8 +183,8 @@ def test_a_folder_that_cannot_be_written_is_refused(below: str, refused: Refused
 
 
 def test_a_run_of_other_scenarios_is_another_run(refused: Refused, tmp_path: Path) -> None:
-    settings = Settings(scenario=("left_turn",), contender=("expert",), episodes=1)
+    settings = Settings(scenario=("left_turn",), method=("expert",), episodes=1)
     other = identity(settings) | {"scenario": ["left_turn", "overtaking"]}
     Store(tmp_path, other)
-    some = ["--scenario", "left_turn", "--contender", "expert", "--episodes", "1"]
+    some = ["--scenario", "left_turn", "--method", "expert", "--episodes", "1"]
     assert 'another scenario (["left_turn", "overtaking"], now ["left_turn"])' in refused(tmp_path, *some)

@@ -11,7 +11,7 @@ from baselines.evaluation.settings import Settings
 from cad_env.scoring.scorecard import Record
 
 SETTINGS = Settings(
-    scenario=("left_turn",), contender=("always-go", "planner-shared"), hazard="yes", episodes=2, first_seed=1_000_023
+    scenario=("left_turn",), method=("always-go", "planner-shared"), hazard="yes", episodes=2, first_seed=1_000_023
 )
 
 

@@ -9,7 +9,7 @@ from baselines.evaluation.grid import grid
 from baselines.evaluation.store import Merging, merged
 from cad_env.scoring.scorecard import parse_record
 
-SOME = ["--scenario", "left_turn", "--contender", "always-go", "planner-own", "--episodes", "30"]
+SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-own", "--episodes", "30"]
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -85,7 +85,7 @@ def test_shards_of_different_runs_are_refused_by_name(
 def test_shards_are_not_merged_into_the_results_of_another_run(
     shards: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert evaluate.main(["--contender", "always-go", "--episodes", "1", "--out", str(tmp_path)]) == 0
+    assert evaluate.main(["--method", "always-go", "--episodes", "1", "--out", str(tmp_path)]) == 0
     before = files(tmp_path)
     assert "another" in refusal(capsys, *shards, "--out", tmp_path)
     assert files(tmp_path) == before

@@ -7,7 +7,7 @@ import pytest
 
 import evaluate
 
-SOME = ["--scenario", "left_turn", "--contender", "always-go", "planner-own", "--episodes", "30", "--no-report"]
+SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-own", "--episodes", "30", "--no-report"]
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason="ray is an extra")

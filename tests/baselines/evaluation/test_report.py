@@ -17,13 +17,13 @@ from baselines.evaluation import report
 from baselines.evaluation.report import write_report
 from baselines.evaluation.report.plots import all_plots
 from baselines.evaluation.store import gif_of
-from baselines.methods import CONTENDERS, SHIPPED
+from baselines.methods import METHODS, SHIPPED
 from cad_env.scoring.scorecard import Record, scorecards
 from cad_env.scoring.table import cells_of
 
 SCENES = ("left_turn", 'a <b> & "c"')
 SETTINGS = {
-    "scenario": list(SCENES), "contender": list(SHIPPED), "episodes": 40, "first_seed": 1_000_000,
+    "scenario": list(SCENES), "method": list(SHIPPED), "episodes": 40, "first_seed": 1_000_000,
     "radio": {"rate": "2000000.0", "loss": "0.05"}, "version of cad_env": "0123abcd", "command": "python <evaluate> &",
 }  # fmt: skip
 
@@ -52,17 +52,15 @@ class Page(HTMLParser):
         self.text += " " + data
 
 
-def some_records(
-    scenes: Iterable[str] = SCENES, contenders: Iterable[str] = SHIPPED, share: float = 0.5
-) -> list[Record]:
+def some_records(scenes: Iterable[str] = SCENES, methods: Iterable[str] = SHIPPED, share: float = 0.5) -> list[Record]:
     """40 episodes each with outcomes by chance; `share` of them with a hazard."""
     chance = random.Random(1)
     bare = Record("", "", 0, False, "success", 9.0, 0, None, None, 0, 0, 0, None, None, 0, 0.0)
     records = []
-    for scene, name, seed in product(scenes, contenders, range(40)):
-        sent, hazard = 100 + seed if CONTENDERS[name].shares else 0, chance.random() < share
+    for scene, name, seed in product(scenes, methods, range(40)):
+        sent, hazard = 100 + seed if METHODS[name].shares else 0, chance.random() < share
         record = replace(
-            bare, scenario=scene, contender=name, seed=seed, hazard=hazard, messages_sent=sent, bytes_total=250 * sent,
+            bare, scenario=scene, method=name, seed=seed, hazard=hazard, messages_sent=sent, bytes_total=250 * sent,
             bytes_per_message_mean=250.0 if sent else None, bytes_per_message_max=480 if sent else None,
             hazard_timing=chance.uniform(-1.0, 1.0) if hazard else None, min_ttc=chance.random(),
             outcome=chance.choice(["success", "collision", "timeout"]),
@@ -83,18 +81,18 @@ def written(folder: Path, records: list[Record]) -> Path:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of all contenders in three scenes, with a report."""
+    """Results of all methods in three scenes, with a report."""
     folder = tmp_path_factory.mktemp("results")
     written(folder, some_records())
     return folder
 
 
-def test_every_contender_and_number_of_the_table_is_on_the_page(folder: Path) -> None:
+def test_every_method_and_number_of_the_table_is_on_the_page(folder: Path) -> None:
     text = Page(folder / "report.html").text
     for row in scorecards(some_records()):
         for cell in cells_of(row)[1:]:
             assert cell in text
-    assert all(contender.knows in text for contender in (CONTENDERS[name] for name in SHIPPED))
+    assert all(method.knows in text for method in (METHODS[name] for name in SHIPPED))
     assert not Page(folder / "report.html").open
 
 
@@ -163,16 +161,16 @@ def test_animations_are_in_the_page_as_far_as_they_fit_the_telling_ones_first(
 
 
 def test_the_command_writes_a_report_that_names_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    some = ["--scenario", "left_turn", "--contender", "always-go", "--episodes", "2", "--hazard", "yes"]
+    some = ["--scenario", "left_turn", "--method", "always-go", "--episodes", "2", "--hazard", "yes"]
     assert evaluate.main([*some, "--out", str(tmp_path)]) == 0
     assert str(tmp_path / "report.html") in capsys.readouterr().out
     page = Page(tmp_path / "report.html")
-    assert "python evaluate.py --scenario left_turn --contender always-go --episodes 2 --hazard yes" in page.text
+    assert "python evaluate.py --scenario left_turn --method always-go --episodes 2 --hazard yes" in page.text
     assert "Collisions against hazard timing" in page.images  # so the timing of a hazard comes from the scene
 
 
 def test_the_command_animates_an_episode_of_each_kind(tmp_path: Path) -> None:
-    some = ["--scenario", "left_turn", "--contender", "always-go", "--episodes", "2", "--hazard", "yes", "--gif", "1"]
+    some = ["--scenario", "left_turn", "--method", "always-go", "--episodes", "2", "--hazard", "yes", "--gif", "1"]
     assert evaluate.main([*some, "--out", str(tmp_path)]) == 0
     assert [path.name for path in (tmp_path / "gifs").iterdir()] == ["left_turn_always-go_collision_1000000.gif"]
     assert "left turn, always-go: collision, a hazard, seed 1000000" in Page(tmp_path / "report.html").images

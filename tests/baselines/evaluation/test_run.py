@@ -19,8 +19,8 @@ from cad_env.scenarios import SCENARIOS
 from cad_env.scoring.rollout import Episode
 from cad_env.scoring.scorecard import Record, parse_record
 
-SOME = ["--scenario", "left_turn", "--contender", "always-go", "planner-shared", "--episodes", "3"]
-LONG = ["--scenario", "left_turn", "--contender", "always-brake", "--episodes", "75"]
+SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-shared", "--episodes", "3"]
+LONG = ["--scenario", "left_turn", "--method", "always-brake", "--episodes", "75"]
 
 Refused = Callable[..., str]
 
@@ -55,8 +55,8 @@ def copy(done: Path, tmp_path: Path) -> Path:
     return folder
 
 
-def test_every_contender_meets_the_same_seeds_in_order(done: Path) -> None:
-    assert [(record.contender, record.seed) for record in records(done)] == [
+def test_every_method_meets_the_same_seeds_in_order(done: Path) -> None:
+    assert [(record.method, record.seed) for record in records(done)] == [
         (name, 1_000_000 + k) for name in ("always-go", "planner-shared") for k in range(3)
     ]
     by_seed: dict[int, set[bool]] = {}
@@ -67,7 +67,7 @@ def test_every_contender_meets_the_same_seeds_in_order(done: Path) -> None:
 
 def test_records_hold_the_bytes_that_were_sent(done: Path) -> None:
     for record in records(done):
-        if record.contender == "always-go":
+        if record.method == "always-go":
             assert record.bytes_total == record.messages_sent == 0
             assert record.bytes_per_message_mean is record.bytes_per_message_max is None
         else:
@@ -81,21 +81,19 @@ def test_records_hold_the_bytes_that_were_sent(done: Path) -> None:
 def test_scores_and_table_come_with_intervals(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(copy, *SOME) == 0
     rows = json.loads((copy / "scores.json").read_text())
-    assert {row["contender"] for row in rows} == {"always-go", "planner-shared"}
+    assert {row["method"] for row in rows} == {"always-go", "planner-shared"}
     assert {"collision_rate", "collision_low", "collision_high", "success_low", "timeouts"} <= rows[0].keys()
     assert "planner-shared" in capsys.readouterr().out
 
 
 def test_another_program_gets_the_same_rows(done: Path, tmp_path: Path) -> None:
-    rows = score(Settings(scenario=("left_turn",), contender=("always-go", "planner-shared"), episodes=3, out=tmp_path))
+    rows = score(Settings(scenario=("left_turn",), method=("always-go", "planner-shared"), episodes=3, out=tmp_path))
     assert [vars(row) for row in rows] == json.loads((done / "scores.json").read_text())
 
 
 @pytest.mark.parametrize(("kind", "hazard"), [("yes", True), ("no", False)])
 def test_a_hazard_can_be_forced(kind: str, hazard: bool, tmp_path: Path) -> None:
-    assert (
-        run(tmp_path, "--scenario", "left_turn", "--contender", "always-go", "--episodes", "6", "--hazard", kind) == 0
-    )
+    assert run(tmp_path, "--scenario", "left_turn", "--method", "always-go", "--episodes", "6", "--hazard", kind) == 0
     assert {record.hazard for record in records(tmp_path)} == {hazard}
     assert {row["hazard"] for row in json.loads((tmp_path / "scores.json").read_text())} == {"all", kind}
 
@@ -106,7 +104,7 @@ def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
             tmp_path,
             "--scenario",
             "left_turn",
-            "--contender",
+            "--method",
             "planner-own",
             "planner-shared",
             "--episodes",
@@ -117,9 +115,7 @@ def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
         == 0
     )
     own, shared = records(tmp_path)[:4], records(tmp_path)[4:]
-    assert [vars(record) | {"contender": ""} for record in own] == [
-        vars(record) | {"contender": ""} for record in shared
-    ]
+    assert [vars(record) | {"method": ""} for record in own] == [vars(record) | {"method": ""} for record in shared]
 
 
 def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
@@ -128,7 +124,7 @@ def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
             tmp_path,
             "--scenario",
             "left_turn",
-            "--contender",
+            "--method",
             "planner-shared",
             "--episodes",
             "3",
@@ -139,17 +135,17 @@ def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
         )
         == 0
     )
-    before = [record for record in records(done) if record.contender == "planner-shared"]
+    before = [record for record in records(done) if record.method == "planner-shared"]
     for few, many in zip(before, records(tmp_path), strict=True):
         assert few.messages_lost < many.messages_lost
         assert many.bytes_per_message_mean < few.bytes_per_message_mean  # type: ignore[operator]
 
 
-def test_every_scenario_meets_every_contender_on_the_same_seeds_in_a_table_of_its_own(
+def test_every_scenario_meets_every_method_on_the_same_seeds_in_a_table_of_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(tmp_path, "--contender", "always-go", "planner-own", "--episodes", "2") == 0
-    assert [(record.scenario, record.contender, record.seed) for record in records(tmp_path)] == [
+    assert run(tmp_path, "--method", "always-go", "planner-own", "--episodes", "2") == 0
+    assert [(record.scenario, record.method, record.seed) for record in records(tmp_path)] == [
         (scene, name, 1_000_000 + k) for scene in SCENARIOS for name in ("always-go", "planner-own") for k in range(2)
     ]
     tables = capsys.readouterr().out.split("\n\n")
@@ -231,7 +227,7 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
         (["--episodes", "4"], "episodes"), (["--first-seed", "5"], "first_seed"), (["--radio", "cv2x"], "radio"),
         (["--loss", "0.2"], "radio"), (["--hazard", "yes"], "hazard"), (["--depth", "2"], "depth"),
         (["--sensor-noise", "0.3"], "sensor_noise"), (["--traffic", "none"], "traffic"),
-        (["--penetration", "0.5"], "penetration"), (["--contender", "expert"], "contender"),
+        (["--penetration", "0.5"], "penetration"), (["--method", "expert"], "method"),
     ],
 )  # fmt: skip
 def test_other_settings_in_the_same_folder_are_refused_by_name(

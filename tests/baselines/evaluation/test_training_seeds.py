@@ -13,11 +13,11 @@ from policies.model_folder import SavedModel, save_model
 from policies.stgraph.network import StGraphNet
 
 
-def some(contender: str, outcomes: str) -> list[Record]:
+def some(method: str, outcomes: str) -> list[Record]:
     names = {"s": "success", "c": "collision", "t": "timeout"}
     return [
         Record(
-            "left_turn", contender, seed, seed % 2 == 0, names[outcome], 9.0, 0, None, None, 0, 0, 0, None, None, 3, 0.0
+            "left_turn", method, seed, seed % 2 == 0, names[outcome], 9.0, 0, None, None, 0, 0, 0, None, None, 3, 0.0
         )
         for seed, outcome in enumerate(outcomes)
     ]
@@ -26,7 +26,7 @@ def some(contender: str, outcomes: str) -> list[Record]:
 def test_the_table_has_the_mean_and_the_range_of_the_seeds() -> None:
     runs = [some("expert", "ssss"), some("stgraph", "sssc"), some("stgraph", "sscc")]
     rows = spreads([scorecards(records) for records in runs])
-    assert [(row.contender, row.seeds, row.episodes) for row in rows] == [("expert", 1, 4), ("stgraph", 2, 4)]
+    assert [(row.method, row.seeds, row.episodes) for row in rows] == [("expert", 1, 4), ("stgraph", 2, 4)]
     assert rows[1].collision == (0.375, 0.25, 0.5)
     assert rows[1].success == (0.625, 0.5, 0.75)
     text = spread_table(rows)
@@ -38,12 +38,12 @@ def test_the_table_has_the_mean_and_the_range_of_the_seeds() -> None:
 def test_every_seed_is_scored_by_itself_and_the_rules_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     models = [tmp_path / f"seed_{seed}" for seed in (3, 4)]
     for seed, folder in enumerate(models):
-        save_model(folder / "shared", SavedModel(StGraphNet(seed=seed), float(seed)))  # one always brakes, one goes
-    arguments = ["--policy", *map(str, models), "--contender", "always-go", "stgraph", "--scenario", "left_turn"]
+        save_model(folder / "stgraph", SavedModel(StGraphNet(seed=seed), float(seed)))  # one always brakes, one goes
+    arguments = ["--models", *map(str, models), "--method", "always-go", "stgraph", "--scenario", "left_turn"]
     out = tmp_path / "out"
     assert evaluate.main([*arguments, "--episodes", "3", "--out", str(out), "--no-report"]) == 0
     assert sorted(folder.name for folder in out.iterdir()) == ["rules", "seed_3", "seed_4"]
-    assert {record.contender for record in read_records(out / "rules")} == {"always-go"}
+    assert {record.method for record in read_records(out / "rules")} == {"always-go"}
     assert {record.outcome for record in read_records(out / "seed_3")} == {"timeout"}
     last = capsys.readouterr().out.split("seeds  episodes")[-1]
     assert "stgraph    2      3" in last
@@ -55,5 +55,5 @@ def test_folders_of_the_same_name_are_refused() -> None:
 
 
 def test_without_anything_learned_there_is_one_run() -> None:
-    settings = Settings(policy=(Path("a"), Path("b")), contender=("expert",))
+    settings = Settings(policy=(Path("a"), Path("b")), method=("expert",))
     assert list(runs_of(settings)) == ["rules"]

@@ -14,7 +14,7 @@ from baselines.evaluation.grid import Task as Episodes
 from baselines.evaluation.run import drive, identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import difference, read_records
-from baselines.learned import ROWS
+from baselines.learned import LEARNED
 from baselines.paper import command as reproduce
 from baselines.paper.gathering import commands, gather
 from baselines.paper.presets import PRESETS, Preset
@@ -26,7 +26,7 @@ from cad_env.scoring.scorecard import Record
 torch.set_num_threads(1)
 
 TINY = Preset(
-    seeds=(0, 1), episodes=6, corrections=0, corrected_episodes=1, steps=3, validation=1, open_loop=2, scored=2,
+    seeds=(0, 1), episodes=6, dagger_rounds=0, dagger_episodes=1, steps=3, validation=1, open_loop=2, scored=2,
     swept=1, sweep_points="ends", ppo_steps=256,
 )  # fmt: skip
 SCENES = ("left_turn",)
@@ -38,7 +38,7 @@ def plan(tmp_path: Path) -> Plan:
 
 
 def test_every_row_of_the_tables_is_asked_for() -> None:
-    assert set(ROWS) <= set(in_table())
+    assert set(LEARNED) <= set(in_table())
     found = reproduce.plan_of(reproduce.ReproduceSettings(preset="full"))
     assert found.rows == in_table()
     assert {name for name, _ in units(found)} == set(found.rows)
@@ -87,7 +87,7 @@ def test_what_is_done_is_not_done_again_and_stands_side_by_side(plan: Plan, monk
         perform(plan, task, told.append)
     assert gather(plan) == 0
     records = read_records(plan.out / "closed" / "dsrc" / "0")
-    assert [record.contender for record in records] == ["always-go"] * 2 + ["command-only"] * 2
+    assert [record.method for record in records] == ["always-go"] * 2 + ["command-only"] * 2
     before = {path: path.stat().st_mtime_ns for path in plan.out.glob("models/**/*.*")}
     before |= {path: path.stat().st_mtime_ns for path in plan.out.glob("open/*/*.json")}
     assert len(before) > 5
@@ -136,10 +136,10 @@ def test_the_noted_commands_are_of_the_same_episodes(plan: Plan) -> None:
     lines = commands(parts).splitlines()
     assert len(lines) == 2
     found = [parsed(Settings, line.split()[2:]) for line in lines]
-    assert [run.contender for run in found] == [("expert", "stgraph", "command-only"), ("compressed",)]
+    assert [run.method for run in found] == [("expert", "stgraph", "command-only"), ("compressed",)]
     assert [run.radio for run in found] == ["dsrc", "cv2x"]
     for part in parts[:3]:
-        assert not difference(identity(replace(found[0], contender=part.contender)), identity(part))
+        assert not difference(identity(replace(found[0], method=part.method)), identity(part))
     assert found[1] == replace(parts[3], out=Settings.out, report=True)
 
 
@@ -165,14 +165,14 @@ def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:
     for task in measuring(plan, ("always-go", 0)):
         perform(plan, task, lambda work: None)
     assert gather(plan) > 0
-    assert {record.contender for record in read_records(plan.out / "closed/dsrc/0")} == {"always-go"}
+    assert {record.method for record in read_records(plan.out / "closed/dsrc/0")} == {"always-go"}
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'"),
-        (["--row", "gta"], "unknown row 'gta'"),
+        (["--method", "gta"], "unknown row 'gta'"),
         (["--shard", "3/2"], "shard must be i/n"),
         (["--shard", "1/2", "--merge"], "leave out --shard"),
         (["--jobs", "0"], "jobs must be"),
@@ -201,8 +201,8 @@ def test_a_recording_that_fails_is_told_in_one_line_and_kept_apart_for_each_shar
     monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
     run = tmp_path / "run"
     run.mkdir()
-    (run / "recording").write_text("in the way")
-    command = ["--row", "always-go", "--out", str(run), "--jobs", "1"]
+    (run / "demonstrations").write_text("in the way")
+    command = ["--method", "always-go", "--out", str(run), "--jobs", "1"]
     assert reproduce.main([*command, "--shard", "2/2"]) == 1
     lines = capsys.readouterr().err.splitlines()
     assert len([line for line in lines if line.startswith("failed: record ")]) == 3
@@ -227,7 +227,7 @@ def test_what_failed_is_told_and_kept_though_the_next_stage_is_interrupted(
         return heard(told)
 
     monkeypatch.setattr("baselines.workers.heard", interrupted)
-    assert reproduce.main(["--row", "command-only", "always-go", "--out", str(run)]) == 130
+    assert reproduce.main(["--method", "command-only", "always-go", "--out", str(run)]) == 130
     assert "failed: train command-only seed 0: ValueError" in capsys.readouterr().err
     assert "Traceback" in (run / "failures.txt").read_text()
 
@@ -249,12 +249,12 @@ def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
     broken = tmp_path / "run/models/seed_0/command-only"
     broken.mkdir(parents=True)
     (broken / "course.json").write_text("not JSON")
-    arguments = ["--row", "command-only", "gat", "always-go", "--out", str(tmp_path / "run")]
+    arguments = ["--method", "command-only", "gat", "always-go", "--out", str(tmp_path / "run")]
     assert reproduce.main(arguments) == 1
     error = capsys.readouterr().err
     assert "failed: train command-only seed 0: ValueError" in error
     records = read_records(tmp_path / "run/closed/dsrc/0")
-    assert {record.contender for record in records} == {"always-go", "gat"}
+    assert {record.method for record in records} == {"always-go", "gat"}
     assert "Traceback" in (tmp_path / "run/failures.txt").read_text()
     (broken / "course.json").unlink()
     assert reproduce.main(arguments) == 0

@@ -9,7 +9,7 @@ from baselines.cli import parsed
 from baselines.evaluation.run import completed, identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import EPISODES, Store, difference, read_settings
-from baselines.methods import MODEL_FILES, contender_named
+from baselines.methods import MODEL_FILES, method_named
 from baselines.paper import command as reproduce
 from baselines.paper.folder import read_run
 from baselines.paper.gathering import gather
@@ -45,30 +45,30 @@ def tables(plan: Plan) -> dict[Path, list[Settings]]:
 
 def _write_models(plan: Plan, weights: str) -> None:
     for row, seed in units(plan):
-        if model := contender_named(row).model:
+        if model := method_named(row).model:
             folder = plan.models(seed) / model
             folder.mkdir(parents=True, exist_ok=True)
             for name in MODEL_FILES:
                 (folder / name).write_text(f"{weights} {row} {seed}")
 
 
-def test_every_noted_command_makes_the_episodes_of_its_contenders(tables: dict[Path, list[Settings]]) -> None:
+def test_every_noted_command_makes_the_episodes_of_its_methods(tables: dict[Path, list[Settings]]) -> None:
     for folder, parts in tables.items():
         noted = [parsed(Settings, line.split()[2:]) for line in read_settings(folder)["command"].splitlines()]
-        makes = {name: run for run in noted for name in run.contender}
-        assert len(makes) == sum(len(run.contender) for run in noted) == len(parts)
+        makes = {name: run for run in noted for name in run.method}
+        assert len(makes) == sum(len(run.method) for run in noted) == len(parts)
         for part in parts:
-            again = replace(makes[part.contender[0]], contender=part.contender)
+            again = replace(makes[part.method[0]], method=part.method)
             assert not difference(identity(part), identity(again)), folder
 
 
-def test_a_table_notes_the_settings_of_each_contender(tables: dict[Path, list[Settings]]) -> None:
+def test_a_table_notes_the_settings_of_each_method(tables: dict[Path, list[Settings]]) -> None:
     for folder, parts in tables.items():
         noted = read_settings(folder)
         for part in parts:
-            (who,) = part.contender
+            (who,) = part.method
             for name, value in read_settings(part.out).items():
-                if name not in ("contender", "command"):
+                if name not in ("method", "command"):
                     assert noted.get(f"{name} of {who}", noted.get(name)) == value, (folder, who, name)
 
 
@@ -76,7 +76,7 @@ def test_a_table_of_models_that_are_replaced_is_withdrawn(plan: Plan, tables: di
     _write_models(plan, "learned again")
     gather(plan)
     run = read_run(plan.out)
-    rules = {name for name in plan.rows if not contender_named(name).model}
+    rules = {name for name in plan.rows if not method_named(name).model}
     assert set(run.closed["dsrc"]["left_turn"]) == rules
     assert not run.closed["ideal"]
     assert not run.sweeps

@@ -1,4 +1,4 @@
-"""Contenders are asked at every frame of the expert's episodes, and what they answer is kept whole."""
+"""Methods are asked at every frame of the expert's episodes, and what they answer is kept whole."""
 
 import json
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from baselines.evaluation.settings import Settings
-from baselines.methods import contender_named
+from baselines.methods import method_named
 from baselines.paper.open_loop import OpenEpisode, OpenLoop, at_threshold, measure, read_open_loop, write_open_loop
 from baselines.paper.open_metrics import average_precision, open_score, ranking, ratios
 from cad_env.envs.single import CADEnv
@@ -21,11 +21,11 @@ OTHER = replace(EPISODE, seed=800_001, brake_probability=None)
 LOOP = OpenLoop("left_turn", "stgraph", "dsrc", (EPISODE, OTHER), "0123456789abcdef")
 
 
-SETTINGS = Settings(scenario=("left_turn",), contender=("expert",))
+SETTINGS = Settings(scenario=("left_turn",), method=("expert",))
 
 
 def asked(name: str) -> OpenLoop:
-    return measure(contender_named(name), SETTINGS, "left_turn", SEEDS)
+    return measure(method_named(name), SETTINGS, "left_turn", SEEDS)
 
 
 def test_whoever_is_asked_the_expert_drives() -> None:
@@ -44,7 +44,7 @@ def test_a_network_answers_as_it_drives_and_says_how_sure_it_is() -> None:
     loop = asked("stgraph")
     seen = []
     episode = rollout(CADEnv(), Expert(), SEEDS[1], watch=lambda env, observation, action: seen.append(observation))
-    policy = contender_named("stgraph").make_policy(SETTINGS.models("left_turn"))
+    policy = method_named("stgraph").make_policy(SETTINGS.models_of("left_turn"))
     found = loop.episodes[1]
     assert found.answers == "".join(str(policy.act(observation)) for observation in seen)
     assert found.brake_probability is not None
@@ -87,9 +87,9 @@ def test_an_altered_episode_is_refused_in_one_line(tmp_path: Path, change: dict[
 
 
 @pytest.mark.parametrize("text", [
-    "", "[]", "{}", '{"scenario": 1, "contender": "", "radio": "", "made_with": "", "episodes": [1]}',
-    '{"scenario": "", "contender": "", "radio": "", "made_with": "", "episodes": []}',
-    '{"scenario": "", "contender": "", "radio": "", "episodes": [1]}',
+    "", "[]", "{}", '{"scenario": 1, "method": "", "radio": "", "made_with": "", "episodes": [1]}',
+    '{"scenario": "", "method": "", "radio": "", "made_with": "", "episodes": []}',
+    '{"scenario": "", "method": "", "radio": "", "episodes": [1]}',
 ])  # fmt: skip
 def test_what_is_no_measurement_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "x.json").write_text(text)

@@ -9,7 +9,7 @@ import pytest
 from paper_run import record, write_closed, write_episodes, write_run
 
 from baselines.evaluation.settings import Settings
-from baselines.methods import Always, contender_named
+from baselines.methods import Always, method_named
 from baselines.paper.acceptance import bars
 from baselines.paper.claims import orders
 from baselines.paper.closed_metrics import ClosedRow, closed_row, compared
@@ -35,7 +35,7 @@ def row_of(
     name: str, successes: int, of: int, scene: str = "left_turn"
 ) -> tuple[ClosedRow, dict[int, dict[int, Record]]]:
     records = {
-        k: replace(CALM, seed=k, contender=name, outcome="success" if k < successes else "timeout") for k in range(of)
+        k: replace(CALM, seed=k, method=name, outcome="success" if k < successes else "timeout") for k in range(of)
     }
     drives = {0: records}
     return closed_row("dsrc", scene, name, drives, {}), drives
@@ -138,8 +138,8 @@ def test_bars_are_judged_by_what_was_measured() -> None:
 
 
 def test_the_papers_rows_agree_with_each_other() -> None:
-    twice = {row.contender: row.scores for row in TABLE_3}
-    assert all(twice.get(row.contender, row.scores) == row.scores for row in TABLE_2)
+    twice = {row.method: row.scores for row in TABLE_3}
+    assert all(twice.get(row.method, row.scores) == row.scores for row in TABLE_2)
     assert all(len(row.scores) == 2 * len(SCENES) for row in (*TABLE_2, *TABLE_3))
     assert TABLE_2[-1].of("left_turn") == (0.6070, 0.7670)
 
@@ -148,8 +148,8 @@ def test_every_point_of_a_sweep_is_a_run_that_can_be_made() -> None:
     fields = Settings.__dataclass_fields__
     for point in points():
         assert set(point.overrides) <= set(fields)
-        settings = Settings(scenario=("left_turn",), contender=("expert",), **point.overrides)
-        assert environment_of(contender_named("planner-shared"), settings, "left_turn")["depth"] == point.overrides.get(
+        settings = Settings(scenario=("left_turn",), method=("expert",), **point.overrides)
+        assert environment_of(method_named("planner-shared"), settings, "left_turn")["depth"] == point.overrides.get(
             "depth", 15
         )
     assert len({point.folder for point in points()}) == sum(len(sweep.points) for sweep in SWEEPS.values())
@@ -157,7 +157,7 @@ def test_every_point_of_a_sweep_is_a_run_that_can_be_made() -> None:
 
 def test_settings_speak_bytes_degrees_and_heads() -> None:
     settings = Settings(scenario=("left_turn",), budget=64, gnss_yaw_noise=180.0, collaborators=3)
-    environment = environment_of(contender_named("planner-shared"), settings, "left_turn")
+    environment = environment_of(method_named("planner-shared"), settings, "left_turn")
     assert environment["radio"].budget == pytest.approx(64)
     assert environment["sensor"].gnss_yaw_noise == pytest.approx(np.pi)
     assert environment["ranges"] == {"collaborators": (3, 3)}
@@ -179,7 +179,7 @@ def test_a_whole_run_has_all_its_parts(tmp_path: Path) -> None:
     assert all(f"img/{name}" in text for name in pictures)
     numbers = json.loads((tmp_path / "results.json").read_text())
     assert set(numbers) == {"open", "thresholds", "closed", "orders", "sweeps", "bars", "costs", "commands"}
-    assert {row["contender"] for row in numbers["closed"]["dsrc"]["left_turn"]} >= {"stgraph", "expert"}
+    assert {row["method"] for row in numbers["closed"]["dsrc"]["left_turn"]} >= {"stgraph", "expert"}
 
 
 def test_who_needs_another_radio_is_compared_with_the_main_one(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from baselines.training import command as train
 from cad_env.scenarios import SCENARIOS
 
 ROOT = Path(__file__).parents[3]
-TINY = ["--episodes", "6", "--corrections", "0", "--steps", "9", "--validation", "2", "--score", "2"]
+TINY = ["--episodes", "6", "--dagger_rounds", "0", "--steps", "9", "--validation", "2", "--score", "2"]
 
 
 def claimed(settings: train.TrainSettings) -> None:
@@ -34,14 +34,14 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     out = tmp_path / "run"
     first = subprocess.Popen(command(*TINY, "--out", str(out)), stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     deadline = time.monotonic() + 300
-    while not list(out.glob("recording/*/*.npz")) and time.monotonic() < deadline:
+    while not list(out.glob("demonstrations/*/*.npz")) and time.monotonic() < deadline:
         time.sleep(0.05)
     first.send_signal(signal.SIGINT)
     _, errors = first.communicate(timeout=120)
     assert first.returncode == 130
     assert "the same command goes on" in errors
     assert "Traceback" not in errors
-    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("recording/*/*.npz")}
+    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("demonstrations/*/*.npz")}
     assert kept
     second = subprocess.run(
         command(*TINY, "--out", str(out)), capture_output=True, text=True, cwd=tmp_path, timeout=900, check=False
@@ -49,10 +49,10 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     assert second.returncode == 0, second.stderr
     assert all(shard.stat().st_mtime_ns == then for shard, then in kept.items())
     assert "stgraph-own" in second.stdout
-    for name in ("shared", "own"):
+    for name in ("stgraph", "stgraph-own"):
         assert {"model.safetensors", "config.json", "metrics.csv"} <= {p.name for p in (out / name).iterdir()}
     rows = json.loads(next(out.glob("scores_*/scores.json")).read_text())
-    assert {row["contender"] for row in rows} == {*train.RULES, "stgraph", "stgraph-own"}
+    assert {row["method"] for row in rows} == {*train.RULES, "stgraph", "stgraph-own"}
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
         (["--episodes", "0"], "episodes must be a number from 1"),
         (["--steps", "many"], "steps"),
         (["--setps", "9"], "setps"),
-        (["--row", "stgraf"], "stgraf.*stgraph-own"),
+        (["--method", "stgraf"], "stgraf.*stgraph-own"),
         (["--seed", "1", "1"], "seed must name at least one, each once"),
         (["--mixing", "2"], "mixing must be a number from 0 to 1"),
     ],
@@ -103,15 +103,15 @@ def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learn
         for rows in ({}, {"row": ("compressed", "gat", "raw-points")})
     )
     assert [run.radio for run in usual] == ["dsrc"]
-    learned = {name: run.radio for run in other for name in run.contender if name not in train.RULES}
+    learned = {name: run.radio for run in other for name in run.method if name not in train.RULES}
     assert learned == {"compressed": "cv2x", "gat": "dsrc", "raw-points": "ideal"}
     assert len({run.out for run in [*usual, *other]}) == 4
 
 
 @pytest.mark.parametrize("seeds", [(0,), (0, 1)])
 def test_a_row_that_is_added_can_be_scored_beside_an_earlier_run(tmp_path: Path, seeds: tuple[int, ...]) -> None:
-    for rows in (("stgraph",), train.ROWS, ("stgraph-own",)):
-        settings = train.TrainSettings(out=tmp_path / "run", row=rows, seed=seeds, scenario=("left_turn",))
+    for rows in (("stgraph",), train.MAIN_METHODS, ("stgraph-own",)):
+        settings = train.TrainSettings(out=tmp_path / "run", method=rows, seed=seeds, scenario=("left_turn",))
         for seed in seeds:
             shutil.copytree(shipped_models("left_turn"), settings.models(seed), dirs_exist_ok=True)
         for run in settings.scoring():

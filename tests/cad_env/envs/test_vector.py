@@ -84,7 +84,7 @@ def test_law_9_64_scenes_are_64_single_environments_for_whole_episodes_and_into_
 def test_scenes_of_several_stories_run_side_by_side():
     vector = CADVectorEnv(2 * len(SCENARIOS), scenario=list(SCENARIOS))
     history = list(driven(vector, 40, 7))
-    for place, simulation in enumerate(vector.ensemble.simulations):
+    for place, simulation in enumerate(vector.batch.simulations):
         assert simulation.scenario.name == list(SCENARIOS)[place % len(SCENARIOS)]
         env = CADEnv(scenario=simulation.scenario.name)
         seen = env.reset(seed=7 + place)[0]
@@ -130,7 +130,7 @@ def test_actions_that_are_none_are_refused_and_change_nothing(actions: Any):
     env.reset(seed=0)
     with pytest.raises(ValueError, match=re.escape("actions must be 3 times 0 (go) or 1 (brake), got")):
         env.step(actions)
-    assert [simulation.steps for simulation in env.ensemble.simulations] == [0, 0, 0]
+    assert [simulation.steps for simulation in env.batch.simulations] == [0, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -205,12 +205,12 @@ def test_a_copy_of_an_episode_goes_its_own_way(copied: Any):
 
 def test_the_shelf_keeps_the_scenes_that_compiled_code_borrows():
     # Nobody counts references to the arrays of a scene there: freed, they would soon hold something else.
-    def shelf() -> Any:
+    def records() -> Any:
         env = CADVectorEnv(3)
         env.reset(seed=5)
-        return env.ensemble.board.shelf, env.ensemble.simulations[2].world.position.copy()
+        return env.batch.batch_state.records, env.batch.simulations[2].world.position.copy()
 
-    kept, expected = shelf()
+    kept, expected = records()
     gc.collect()
     rubbish = [np.full(expected.shape, -1.0) for _ in range(5000)]
     assert position_of_ego(kept, 2) == tuple(expected[0])
@@ -218,6 +218,6 @@ def test_the_shelf_keeps_the_scenes_that_compiled_code_borrows():
 
 
 @numba.njit
-def position_of_ego(shelf: Any, place: int) -> tuple[float, float]:
-    scene = scene_at(shelf, place)
+def position_of_ego(records: Any, place: int) -> tuple[float, float]:
+    scene = scene_at(records, place)
     return scene.world.position[0, 0], scene.world.position[0, 1]

@@ -53,7 +53,7 @@ def test_gymnasium_makes_it_of_every_id_without_a_warning(name: str):
         assert env.single_observation_space == gym.make(name).observation_space
         assert env.single_action_space == gym.make(name).action_space
         env.close()
-    assert env.ensemble.simulations[0].scenario.gym_id == name
+    assert env.batch.simulations[0].scenario.gym_id == name
 
 
 def test_a_spec_goes_through_json_and_pickle_with_its_options():
@@ -63,7 +63,7 @@ def test_a_spec_goes_through_json_and_pickle_with_its_options():
     for again in (EnvSpec.from_json(spec.to_json()), pickle.loads(pickle.dumps(spec))):
         env = gym.make_vec(again)
         assert (env.num_envs, env.autoreset_mode) == (3, AutoresetMode.SAME_STEP)
-        assert env.ensemble.simulations[2].setup.depth == 5
+        assert env.batch.simulations[2].setup.depth == 5
     assert json.loads(spec.to_json())["kwargs"]["num_envs"] == 3
 
 

@@ -10,7 +10,7 @@ from cad_env.lidar.cast import cast
 from cad_env.lidar.config import CloudConfig
 from cad_env.lidar.points import KEPT, RawPoints, Reads, thinned
 from cad_env.simulation import cloud_exchange as sharing
-from cad_env.simulation.batch import Ensemble
+from cad_env.simulation.batch import SceneBatch
 from cad_env.simulation.setup import setup_from
 
 RAYS = {"azimuths": 128, "beams": 16}
@@ -78,7 +78,7 @@ def test_training_data_are_thinned_from_all_points_whatever_the_codec_reads(code
 
 def test_codecs_that_read_differently_go_side_by_side():
     clouds = [CloudConfig(codec=one, **RAYS) for one in (Choosing(Reads(thinned=40)), Listening(), RawPoints())]
-    together = Ensemble([setup_from({"cloud": cloud, "radio": "ideal"}) for cloud in clouds])
+    together = SceneBatch([setup_from({"cloud": cloud, "radio": "ideal"}) for cloud in clouds])
     alone = [started(k, cloud=cloud, radio="ideal") for k, cloud in enumerate(clouds)]
     for k in range(3):
         together.start(k, k)

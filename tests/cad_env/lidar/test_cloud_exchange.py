@@ -269,8 +269,8 @@ def test_features_go_with_their_points_and_the_clouds_of_all_scenes_are_encoded_
         seen, same = vector.step(np.zeros(3, int))[0], plain.step(np.zeros(3, int))[0]
         assert seen["cloud"][..., :3].tobytes() == same["cloud"].tobytes()
     assert Labelled.calls == 2
-    together = sum(len(simulation.agents) for simulation in vector.ensemble.simulations)
-    for k, simulation in enumerate(vector.ensemble.simulations):
+    together = sum(len(simulation.agents) for simulation in vector.batch.simulations)
+    for k, simulation in enumerate(vector.batch.simulations):
         features = shown({name: seen[name][k] for name in ("cloud", "cloud_mask")})[:, 3:]
         assert set(features[:, 1]) == {together}
         firsts = (features[:, 0] == 0).sum()

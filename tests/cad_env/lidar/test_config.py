@@ -10,7 +10,7 @@ from cad_env.envs.parallel import CADParallelEnv
 from cad_env.envs.single import CADEnv
 from cad_env.lidar.config import CloudConfig
 from cad_env.pipeline.observe import HORIZON
-from cad_env.simulation.batch import Ensemble
+from cad_env.simulation.batch import SceneBatch
 from cad_env.simulation.setup import Setup, setup_from
 from cad_env.types import GO
 
@@ -40,7 +40,7 @@ def test_what_cannot_be_shared_is_refused_with_one_line():
     with pytest.raises(ValueError, match="cloud is for one ego"):
         CADParallelEnv(cloud=CLOUD)
     with pytest.raises(ValueError, match="clouds of one shape"):
-        Ensemble([Setup(), replace(Setup(), cloud=CloudConfig())])
+        SceneBatch([Setup(), replace(Setup(), cloud=CloudConfig())])
     env = CADEnv(cloud=CLOUD)
     with pytest.raises(ValueError, match="cannot change later"):
         env.reset(options={"config": {"cloud": None}})

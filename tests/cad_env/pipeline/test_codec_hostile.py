@@ -25,9 +25,9 @@ from cad_env.pipeline.codec import (
     read,
     write,
 )
-from cad_env.pipeline.graph_arrays import empty_rows
+from cad_env.pipeline.graph_arrays import empty_graph_arrays
 from cad_env.pipeline.varint import LONG_VARINT, OUTSIDE, TRUNCATED, crc32
-from cad_env.types import FRAMES, Bytes, Rows
+from cad_env.types import FRAMES, Bytes, GraphArrays
 from tests.cad_env.pipeline.test_codec import GOLDEN, golden_graph, scene
 
 
@@ -97,16 +97,16 @@ def test_more_bytes_than_any_graph_needs_are_refused_unread():
 
 def test_more_tracks_than_rows_are_refused_before_they_are_read():
     payload = np.array(bytearray(encode(scene(tracks=5))), np.uint8)
-    assert read(payload, len(payload), np.zeros(3, np.int64), empty_rows(rows=4)) == CAPACITY
-    assert read(payload, len(payload), np.zeros(3, np.int64), empty_rows(rows=5)) == ACCEPTED
+    assert read(payload, len(payload), np.zeros(3, np.int64), empty_graph_arrays(rows=4)) == CAPACITY
+    assert read(payload, len(payload), np.zeros(3, np.int64), empty_graph_arrays(rows=5)) == ACCEPTED
 
 
 def test_a_length_beyond_the_buffer_is_refused():
-    assert read(np.zeros(20, np.uint8), 21, np.zeros(3, np.int64), empty_rows()) == TRUNCATED
+    assert read(np.zeros(20, np.uint8), 21, np.zeros(3, np.int64), empty_graph_arrays()) == TRUNCATED
 
 
 def test_a_vehicle_with_all_its_rows_in_use_fits_the_buffer():
-    rows, buffer = empty_rows(), np.zeros(MAX_BYTES, np.uint8)
+    rows, buffer = empty_graph_arrays(), np.zeros(MAX_BYTES, np.uint8)
     rows.used[0], rows.mask[:], rows.track[:] = len(rows.track), True, 2**31 - 1 - np.arange(len(rows.track))
     rows.position[:] = np.random.default_rng(0).choice([-1e5, 1e5], rows.position.shape)
     assert MAX_BYTES * 0.7 < write(buffer, 0, 0, FRAMES, rows) <= MAX_BYTES
@@ -133,7 +133,7 @@ def hurt(buffer: Bytes, length: int, way: int, noise: Bytes) -> int:
 
 
 @compiled
-def attack(good: Bytes, noise: Bytes, seal: bool, again: Bytes, rows: Rows, met: Bytes) -> int:
+def attack(good: Bytes, noise: Bytes, seal: bool, again: Bytes, rows: GraphArrays, met: Bytes) -> int:
     """Hurt a message once per row of `noise`; counts what was accepted but would be written otherwise."""
     wrong, buffer = 0, np.zeros(4 * len(good), np.uint8)
     header = np.zeros(3, np.int64)
@@ -155,7 +155,7 @@ def attack(good: Bytes, noise: Bytes, seal: bool, again: Bytes, rows: Rows, met:
 
 @pytest.mark.parametrize("seal", [False, True])
 def test_no_hurt_message_is_accepted_in_a_second_spelling(seal: bool):
-    met, again, rows = np.zeros(len(REASONS), np.uint8), np.zeros(MAX_BYTES, np.uint8), empty_rows()
+    met, again, rows = np.zeros(len(REASONS), np.uint8), np.zeros(MAX_BYTES, np.uint8), empty_graph_arrays()
     rng = np.random.default_rng(0)
     bumpy = scene(tracks=2)
     bumpy.position[1, :, 2] += rng.integers(0, 2, FRAMES) * 0.01

@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cad_env.pipeline.graph_arrays import empty_rows, slide
+from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
 from cad_env.pipeline.merge import EGO_RADIUS, GATE, finish_merge, receive, start_merge, take_in
-from cad_env.types import CAR, FRAMES, MERGED_ROWS, ROWS, TRUCK, Rows
+from cad_env.types import CAR, FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, TRUCK, GraphArrays
 
 FAR = np.tile([1000.0, 1000.0, 0.0], (FRAMES, 1))  # the ego's trail, where it disturbs nobody
 Path = tuple[float, float, float, float]  # x, y (m) in the newest frame, and m a frame
 
 
-def graph(*paths: Path, frames: int = FRAMES, first_id: int = 1, kind: int = CAR) -> Rows:
+def graph(*paths: Path, frames: int = FRAMES, first_id: int = 1, kind: int = CAR) -> GraphArrays:
     """Tracks that move evenly, seen in the newest `frames` frames."""
-    rows = empty_rows()
+    rows = empty_graph_arrays()
     rows.used[0] = len(paths)
     for i, (x, y, vx, vy) in enumerate(paths):
         back = np.arange(FRAMES - 1, -1, -1.0)
@@ -27,8 +27,8 @@ def graph(*paths: Path, frames: int = FRAMES, first_id: int = 1, kind: int = CAR
     return rows
 
 
-def merge(own: Rows, *kept: Rows, first: int = 0, trail: np.ndarray = FAR) -> Rows:
-    merged, weight = empty_rows(rows=MERGED_ROWS), np.zeros((MERGED_ROWS, FRAMES))
+def merge(own: GraphArrays, *kept: GraphArrays, first: int = 0, trail: np.ndarray = FAR) -> GraphArrays:
+    merged, weight = empty_graph_arrays(rows=MAX_MERGED_TRACKS), np.zeros((MAX_MERGED_TRACKS, FRAMES))
     start_merge(merged, weight)
     take_in(merged, weight, own, first, trail)
     for rows in kept:
@@ -37,7 +37,7 @@ def merge(own: Rows, *kept: Rows, first: int = 0, trail: np.ndarray = FAR) -> Ro
     return merged
 
 
-def shown(rows: Rows) -> list[tuple]:
+def shown(rows: GraphArrays) -> list[tuple]:
     """What the rows in use hold, without what their masks hide; unordered, but for the newest frame last."""
     n = int(rows.used[0])
     position = np.where(rows.mask[:n, :, None], rows.position[:n], 0.0).round(9)
@@ -46,7 +46,7 @@ def shown(rows: Rows) -> list[tuple]:
     )
 
 
-def newest(rows: Rows) -> np.ndarray:
+def newest(rows: GraphArrays) -> np.ndarray:
     n = int(rows.used[0])
     return rows.position[:n, -1, :2][rows.mask[:n, -1]]
 
@@ -125,9 +125,9 @@ graphs = st.lists(paths, max_size=5).map(lambda some: graph(*some))
 
 
 @given(st.lists(graphs, min_size=1, max_size=4), st.randoms(use_true_random=False))
-def test_law_4_neither_order_of_arrival_nor_repetition_of_messages_matters(sent: list[Rows], chance):
+def test_law_4_neither_order_of_arrival_nor_repetition_of_messages_matters(sent: list[GraphArrays], chance):
     def received(order: list[int]) -> list[tuple]:
-        kept = [empty_rows() for _ in sent]
+        kept = [empty_graph_arrays() for _ in sent]
         for sender in order:
             receive(kept[sender], sent[sender], FRAMES, 0)
         return shown(merge(graph(), *kept))
@@ -139,7 +139,7 @@ def test_law_4_neither_order_of_arrival_nor_repetition_of_messages_matters(sent:
 
 
 @given(graphs, graphs)
-def test_nobody_is_lost_or_made_up(own: Rows, other: Rows):
+def test_nobody_is_lost_or_made_up(own: GraphArrays, other: GraphArrays):
     merged = merge(own, other)
     a, b, m = int(own.used[0]), int(other.used[0]), int(merged.used[0])
     assert max(a, b) <= m <= a + b
@@ -149,16 +149,16 @@ def test_nobody_is_lost_or_made_up(own: Rows, other: Rows):
             assert apart.min() <= GATE * np.sqrt(FRAMES)
 
 
-def as_sent(rows: Rows, depth: int) -> Rows:
+def as_sent(rows: GraphArrays, depth: int) -> GraphArrays:
     """A message holds the newest `depth` frames."""
-    copy = Rows(*(part.copy() for part in rows))
+    copy = GraphArrays(*(part.copy() for part in rows))
     copy.mask[:, : FRAMES - depth] = False
     return copy
 
 
 @pytest.mark.parametrize("depth", [1, 2, 5, 15])
 def test_the_receiver_assembles_the_history_from_short_messages(depth: int):
-    kept = empty_rows()
+    kept = empty_graph_arrays()
     for frame in range(FRAMES):
         slide(kept)
         receive(kept, as_sent(graph((1.0 * frame, 0.0, 1.0, 0.0), frames=frame + 1), depth), depth, 0)
@@ -169,7 +169,7 @@ def test_the_receiver_assembles_the_history_from_short_messages(depth: int):
 
 @pytest.mark.parametrize("age", [1, 5, 14])
 def test_a_late_message_is_placed_when_it_was_true(age: int):
-    kept = empty_rows()
+    kept = empty_graph_arrays()
     receive(kept, graph((10.0, 0.0, 1.0, 0.0)), FRAMES, age)
     seen = FRAMES - age
     assert kept.mask[0].tolist() == [True] * seen + [False] * age
@@ -178,7 +178,7 @@ def test_a_late_message_is_placed_when_it_was_true(age: int):
 
 def test_a_lost_message_of_depth_one_leaves_a_gap_and_one_of_depth_fifteen_none():
     for depth, gap in ((1, True), (15, False)):
-        kept = empty_rows()
+        kept = empty_graph_arrays()
         for frame in range(FRAMES):
             slide(kept)
             if frame != 7:
@@ -187,7 +187,7 @@ def test_a_lost_message_of_depth_one_leaves_a_gap_and_one_of_depth_fifteen_none(
 
 
 def test_what_a_sender_no_longer_says_is_forgotten():
-    kept = empty_rows()
+    kept = empty_graph_arrays()
     receive(kept, graph((0.0, 0.0, 0, 0), (9.0, 0.0, 0, 0)), FRAMES, 0)
     slide(kept)
     receive(kept, graph((0.0, 0.0, 0, 0)), FRAMES, 0)
@@ -196,7 +196,7 @@ def test_what_a_sender_no_longer_says_is_forgotten():
 
 
 def test_who_is_silent_is_forgotten_after_fifteen_frames():
-    kept = empty_rows()
+    kept = empty_graph_arrays()
     receive(kept, graph((0.0, 0.0, 0, 0)), FRAMES, 0)
     for _ in range(FRAMES - 1):
         slide(kept)
@@ -206,8 +206,8 @@ def test_who_is_silent_is_forgotten_after_fifteen_frames():
 
 
 def test_more_tracks_than_there_is_room_for_leave_the_first_in_place():
-    crowds = [graph(*((12.0 * k, 40.0 * s, 0, 0) for k in range(ROWS))) for s in range(3)]
+    crowds = [graph(*((12.0 * k, 40.0 * s, 0, 0) for k in range(MAX_TRACKS))) for s in range(3)]
     merged = merge(*crowds)
-    assert merged.used[0] == MERGED_ROWS
-    expected = set(itertools.product(12.0 * np.arange(ROWS), [0.0, 40.0]))
+    assert merged.used[0] == MAX_MERGED_TRACKS
+    expected = set(itertools.product(12.0 * np.arange(MAX_TRACKS), [0.0, 40.0]))
     assert set(map(tuple, newest(merged))) == expected

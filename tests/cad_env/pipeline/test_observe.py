@@ -8,18 +8,18 @@ from scenes import Twitchy, cross, started, steps
 
 from cad_env.envs.parallel import parallel_env
 from cad_env.envs.single import CADEnv
-from cad_env.pipeline.graph_arrays import empty_rows
+from cad_env.pipeline.graph_arrays import empty_graph_arrays
 from cad_env.pipeline.observe import HORIZON, View, as_observation, empty_view, observation_space, observe_ego
 from cad_env.pipeline.observe import observe_tracks as observe
 from cad_env.scenarios import SCENARIOS
-from cad_env.types import FRAMES, MERGED_ROWS, OBSERVED_TRACKS, ROUTE_POINTS, ROUTE_SPACING, TRUCK, Command
+from cad_env.types import FRAMES, MAX_MERGED_TRACKS, OBSERVED_TRACKS, ROUTE_POINTS, ROUTE_SPACING, TRUCK, Command
 
 SPACE = observation_space()
 
 
 def view_of(places: list[tuple[float, ...]], trail: np.ndarray) -> View:
     """A view of (x, y) places that were seen in every frame."""
-    rows, view = empty_rows(rows=MERGED_ROWS), empty_view()
+    rows, view = empty_graph_arrays(rows=MAX_MERGED_TRACKS), empty_view()
     rows.used[0] = len(places)
     for k, (x, y) in enumerate(places):
         rows.position[k] = x, y, 0.75
@@ -61,7 +61,7 @@ def test_absent_tracks_are_masked_zeros():
 
 
 def test_a_view_forgets_what_it_showed_before():
-    rows, view = empty_rows(rows=MERGED_ROWS), empty_view()
+    rows, view = empty_graph_arrays(rows=MAX_MERGED_TRACKS), empty_view()
     rows.used[0], rows.mask[0], rows.kind[0] = 1, True, TRUCK
     rows.position[0] = 9.0, 9.0, 1.75
     observe(view, rows, still(0.0, 0.0, 0.0))

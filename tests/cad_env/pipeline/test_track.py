@@ -14,17 +14,17 @@ from cad_env.pipeline.track import (
     seen_now,
     update,
 )
-from cad_env.types import CAR, ROWS, TRUCK
+from cad_env.types import CAR, MAX_TRACKS, TRUCK
 
 NOISE = 0.2
 
 
 def feed(tracks: Tracks, *places: tuple[float, float], kind: int = CAR) -> None:
     """One frame in which these places are detected."""
-    position = np.full((ROWS, 3), 1e9)
+    position = np.full((MAX_TRACKS, 3), 1e9)
     for row, place in enumerate(places):
         position[row] = *place, 0.75
-    update(tracks, position, np.full(ROWS, kind, np.int8), len(places), NOISE)
+    update(tracks, position, np.full(MAX_TRACKS, kind, np.int8), len(places), NOISE)
 
 
 def alive(tracks: Tracks) -> list[int]:
@@ -130,10 +130,10 @@ def test_the_class_is_that_of_the_newest_detection():
 def test_a_full_tracker_takes_no_more_and_loses_nobody():
     tracks = empty_tracks()
     for _ in range(3):
-        feed(tracks, *((10.0 * k, 0.0) for k in range(ROWS)))
+        feed(tracks, *((10.0 * k, 0.0) for k in range(MAX_TRACKS)))
     ids = alive(tracks)
-    assert len(ids) == ROWS
-    feed(tracks, *((10.0 * k + (500.0 if k == 0 else 0.0), 0.0) for k in range(ROWS)))
+    assert len(ids) == MAX_TRACKS
+    feed(tracks, *((10.0 * k + (500.0 if k == 0 else 0.0), 0.0) for k in range(MAX_TRACKS)))
     assert alive(tracks) == ids
 
 

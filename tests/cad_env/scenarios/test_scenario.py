@@ -81,8 +81,8 @@ def test_a_density_is_a_number_of_further_vehicles(scenario: Scenario, density: 
     ranges, low, high = scenario.configured({}), *DENSITIES[density]
     counts = set()
     for seed in SEEDS:
-        cast = len(scenario.scene(ranges, Traffic("none"), seed).placements)
-        counts.add(len(scenario.scene(ranges, Traffic(density), seed).placements) - cast)
+        actors = len(scenario.scene(ranges, Traffic("none"), seed).placements)
+        counts.add(len(scenario.scene(ranges, Traffic(density), seed).placements) - actors)
     assert counts == set(range(low, high + 1))
 
 

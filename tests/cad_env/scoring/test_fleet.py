@@ -23,7 +23,7 @@ class OneByOne(Twitchy):
 
 
 def identical(a: FleetEpisode, b: FleetEpisode) -> bool:
-    """All of two episodes but the contender, whose name may differ."""
+    """All of two episodes but the method, whose name may differ."""
     told = [(one.scenario, one.seed, one.hazard) for one in (a, b)]
     agents = [[(g.name, g.outcome, g.waits, g.bytes_sent, g.bytes_received, g.messages_lost) for g in one.agents]
               for one in (a, b)]  # fmt: skip
@@ -51,7 +51,7 @@ def test_an_episode_says_what_each_agent_did_and_how_it_ended():
             seen.setdefault(agent, []).append(action)
 
     episode = rollout_fleet(env, Twitchy(), 10, "twitchy", hazard=False, watch=watch)
-    assert (episode.scenario, episode.contender, episode.seed, episode.hazard) == ("left_turn", "twitchy", 10, False)
+    assert (episode.scenario, episode.method, episode.seed, episode.hazard) == ("left_turn", "twitchy", 10, False)
     assert {agent.name: agent.outcome for agent in episode.agents} == env.outcomes
     for agent in episode.agents:
         assert agent.action.tolist() == seen[agent.name]
@@ -106,11 +106,11 @@ def test_names_that_do_not_fit_are_refused(policies: dict, complaint: str):
         rollout_fleet(parallel_env(), policies, 0)
 
 
-def episode(hazard: bool, *outcomes: str, brakes: int = 0, contender: str = "c") -> FleetEpisode:
+def episode(hazard: bool, *outcomes: str, brakes: int = 0, method: str = "c") -> FleetEpisode:
     """A fleet episode by hand: 2 s each, 100 bytes a decision."""
     action = np.array([BRAKE] * brakes + [GO] * (20 - brakes), np.int8)
     agents = [AgentEpisode(f"cav_{k}", o, o == "waited", action, 2000, 6000, 1) for k, o in enumerate(outcomes)]
-    return FleetEpisode("left_turn", contender, 0, hazard, tuple(agents))
+    return FleetEpisode("left_turn", method, 0, hazard, tuple(agents))
 
 
 def test_a_score_counts_episodes_agents_and_those_that_drive():
@@ -140,8 +140,8 @@ def test_a_score_counts_episodes_agents_and_those_that_drive():
 
 
 def test_contenders_come_in_the_order_of_their_first_episode():
-    rows = fleet_scores([episode(True, "success", contender=name) for name in ("b", "a", "b")])
-    assert [(row.contender, row.hazard) for row in rows] == [("b", "all"), ("b", "yes"), ("a", "all"), ("a", "yes")]
+    rows = fleet_scores([episode(True, "success", method=name) for name in ("b", "a", "b")])
+    assert [(row.method, row.hazard) for row in rows] == [("b", "all"), ("b", "yes"), ("a", "all"), ("a", "yes")]
 
 
 def test_the_interval_of_independent_agents_is_wilson_s_and_of_a_crowd_that_fares_alike_that_of_episodes():

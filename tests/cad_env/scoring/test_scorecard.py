@@ -54,7 +54,7 @@ def test_a_record_survives_its_line(record: Record) -> None:
 @pytest.mark.parametrize("change", [
     {"seed": -1}, {"seed": 1.5}, {"seed": True}, {"hazard": 1}, {"outcome": "crash"}, {"outcome": None},
     {"outcome": []}, {"time": -0.1}, {"time": "9"}, {"time": None}, {"brakes": None}, {"bytes_per_message_mean": "x"},
-    {"bytes_per_message_max": 1.5}, {"min_ttc": -1}, {"scenario": 3}, {"contender": None}, {"messages_lost": "0"},
+    {"bytes_per_message_max": 1.5}, {"min_ttc": -1}, {"scenario": 3}, {"method": None}, {"messages_lost": "0"},
     {"hazard_timing": "0"}, {"connected": 1.5}, {"connected": None}, {"hardest_brake": -1.0}, {"hardest_brake": None},
 ])  # fmt: skip
 def test_an_altered_record_is_refused_with_the_name_of_what_is_wrong(change: dict[str, object]) -> None:
@@ -107,7 +107,7 @@ def test_rows_with_and_without_hazard_add_up_to_all(some: list[Record]) -> None:
     assert sum(row.episodes for row in rows if row.hazard == "all") == len(some)
     for row in rows:
         assert row.collisions + row.successes + row.timeouts == row.episodes > 0
-        parts = [part for part in rows if part.contender == row.contender and part.hazard != "all"]
+        parts = [part for part in rows if part.method == row.method and part.hazard != "all"]
         if row.hazard == "all":
             for name in ("episodes", "collisions", "successes", "timeouts", "messages_sent", "messages_lost"):
                 assert sum(getattr(part, name) for part in parts) == getattr(row, name)
@@ -120,7 +120,7 @@ def test_the_order_of_episodes_does_not_matter() -> None:
 
 def test_the_table_gives_per_cents_with_interval_and_number() -> None:
     lines = table(scorecards([CALM, CRASH, STUCK])).splitlines()
-    assert lines[0].split()[:4] == ["scenario", "contender", "hazard", "episodes"]
+    assert lines[0].split()[:4] == ["scenario", "method", "hazard", "episodes"]
     assert lines[2].split()[:4] == ["left_turn", "expert", "all", "3"]
     assert "33.3 [ 6.1, 79.2]" in lines[2]
     assert len(lines) == 5

@@ -1,4 +1,4 @@
-"""The families of points in real scenes: training sees what driving sees, and a model comes back as it was."""
+"""The specs of points in real scenes: training sees what driving sees, and a model comes back as it was."""
 
 from pathlib import Path
 from typing import Any
@@ -12,33 +12,33 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.lidar.points import thinned
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.points.compressed import CompressedConfig, CompressedNet, LearnedFeatures, SizedOnly
-from policies.registry import FAMILIES, family_named
-from policies.spec import Family
+from policies.registry import SPECS, spec_named
+from policies.spec import NetworkSpec
 
 torch.set_num_threads(1)
 
 
-def after_some_steps(family: Family, network: torch.nn.Module, radio: str) -> tuple[CADVectorEnv, dict[str, Any]]:
+def after_some_steps(spec: NetworkSpec, network: torch.nn.Module, radio: str) -> tuple[CADVectorEnv, dict[str, Any]]:
     """Two scenes under way, and what is observed in them."""
-    envs = CADVectorEnv(2, scenario="left_turn", radio=radio, **family.environment(network))
+    envs = CADVectorEnv(2, scenario="left_turn", radio=radio, **spec.environment(network))
     envs.reset(seed=3)
     for _ in range(4):
         observed = envs.step(np.zeros(2, np.int64))[0]
     return envs, observed
 
 
-def looked_at(family: Family, envs: CADVectorEnv) -> dict[str, Any]:
+def looked_at(spec: NetworkSpec, envs: CADVectorEnv) -> dict[str, Any]:
     """The batch of training for the same frames."""
-    scenes = enumerate(envs.ensemble.simulations)
-    looks = [family.look(simulation, envs.ensemble.observation(place)) for place, simulation in scenes]
-    return family.frames(looks, [0, 1]).batch(np.arange(2))
+    scenes = enumerate(envs.batch.simulations)
+    looks = [spec.look(simulation, envs.batch.observation(place)) for place, simulation in scenes]
+    return spec.frames(looks, [0, 1]).batch(np.arange(2))
 
 
 @pytest.mark.parametrize("radio", ["ideal", "none"])
 def test_a_merged_cloud_is_trained_on_as_it_is_driven_on(radio: str) -> None:
-    family = family_named("point_transformer")
-    envs, observed = after_some_steps(family, family.build(family.config_type(), seed=0), radio)
-    batch = looked_at(family, envs)
+    spec = spec_named("point_transformer")
+    envs, observed = after_some_steps(spec, spec.build(spec.config_type(), seed=0), radio)
+    batch = looked_at(spec, envs)
     assert np.array_equal(batch["cloud_mask"], observed["cloud_mask"])
     assert observed["cloud_mask"].any(1).all()
     np.testing.assert_allclose(batch["cloud"], observed["cloud"], rtol=0, atol=0.0051)
@@ -47,30 +47,30 @@ def test_a_merged_cloud_is_trained_on_as_it_is_driven_on(radio: str) -> None:
 
 @pytest.mark.parametrize("radio", ["ideal", "dsrc", "none"])
 def test_what_the_clouds_of_all_vehicles_give_is_what_their_messages_give(radio: str) -> None:
-    family = family_named("compressed")
-    network = family.build(family.config_type(), seed=0)
-    envs, observed = after_some_steps(family, network, radio)
-    batch = looked_at(family, envs)
+    spec = spec_named("compressed")
+    network = spec.build(spec.config_type(), seed=0)
+    envs, observed = after_some_steps(spec, network, radio)
+    batch = looked_at(spec, envs)
     vehicles = batch["clouds_mask"].any(2).sum(1)
     if radio != "dsrc":  # which refuses some messages and carries others
         assert (vehicles >= 3).all() if radio == "ideal" else (vehicles == 1).all()
     assert np.array_equal(batch["clouds_mask"].sum((1, 2)), observed["cloud_mask"].sum(1))
     trained = {name: torch.from_numpy(part) for name, part in batch.items()}
-    wanted = torch.softmax(family.logits(network, trained), 1)[:, 1].detach().numpy()
-    np.testing.assert_allclose(family.driver(network, 0.5).brake_probability(observed), wanted, rtol=0, atol=1e-3)
+    wanted = torch.softmax(spec.logits(network, trained), 1)[:, 1].detach().numpy()
+    np.testing.assert_allclose(spec.policy(network, 0.5).brake_probability(observed), wanted, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("radio", ["ideal", "dsrc", "none", RadioConfig(loss=0.5, delay=0.1, range=60.0)])
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", SPECS)
 def test_episodes_are_replayed_in_scenes_where_a_look_sees_the_same(name: str, radio: str | RadioConfig) -> None:
-    family = family_named(name)
-    network = family.build(family.config_type(), seed=0)
-    options = (family.environment(network), family.replayed(network))
+    spec = spec_named(name)
+    network = spec.build(spec.config_type(), seed=0)
+    options = (spec.environment(network), spec.replayed(network))
     usual, other = (CADVectorEnv(2, scenario="left_turn", radio=radio, **needs) for needs in options)
     for envs in (usual, other):
         envs.reset(seed=3)
     for _ in range(4):
-        one, two = looked_at(family, usual), looked_at(family, other)
+        one, two = looked_at(spec, usual), looked_at(spec, other)
         assert one.keys() == two.keys()
         assert all(one[part].tobytes() == two[part].tobytes() for part in one)
         for envs in (usual, other):
@@ -92,17 +92,17 @@ def test_what_is_replayed_is_as_large_as_what_is_sent(config: CompressedConfig) 
 
 
 def test_a_network_of_other_clouds_than_those_kept_is_not_trained() -> None:
-    family = family_named("compressed")
+    spec = spec_named("compressed")
     with pytest.raises(ValueError, match=r"points must be 128 .*, got 64"):
-        family.replayed(CompressedNet(CompressedConfig(points=64)))
+        spec.replayed(CompressedNet(CompressedConfig(points=64)))
 
 
 @pytest.mark.parametrize("name", ["point_transformer", "compressed"])
 def test_a_saved_model_decides_as_it_did(name: str, tmp_path: Path) -> None:
-    family = family_named(name)
-    network = family.build(family.config_type(mlp_width=8), seed=5)
-    save_model(tmp_path / "model", SavedModel(network, 0.4, family=family))
-    model = load_model(tmp_path / "model", family_named)
+    spec = spec_named(name)
+    network = spec.build(spec.config_type(mlp_width=8), seed=5)
+    save_model(tmp_path / "model", SavedModel(network, 0.4, spec=spec))
+    model = load_model(tmp_path / "model")
     assert model.network.config == network.config
     rng = np.random.default_rng(0)
     width = model.environment()["cloud"].codec.width
@@ -112,6 +112,6 @@ def test_a_saved_model_decides_as_it_did(name: str, tmp_path: Path) -> None:
         "cloud_mask": mask.astype(np.int8),
         "command": np.eye(6, dtype=np.int8)[:3],
     }
-    before = family.driver(network, 0.4).brake_probability(observed)
-    assert np.array_equal(model.driver().brake_probability(observed), before)
+    before = spec.policy(network, 0.4).brake_probability(observed)
+    assert np.array_equal(model.policy().brake_probability(observed), before)
     assert len(set(before)) == 3

@@ -55,8 +55,8 @@ def networks() -> list[tuple[nn.Module, dict[str, NDArray[Any]]]]:
 
 
 def logits(network: nn.Module, batch: Mapping[str, NDArray[Any]]) -> Tensor:
-    family = POINT_TRANSFORMER if isinstance(network, PointTransformerNet) else COMPRESSED
-    return family.logits(network, tensors(batch))
+    spec = POINT_TRANSFORMER if isinstance(network, PointTransformerNet) else COMPRESSED
+    return spec.logits(network, tensors(batch))
 
 
 def test_neighbours_are_the_nearest_points_of_the_same_cloud() -> None:
@@ -133,16 +133,16 @@ def test_other_points_give_another_decision(which: int) -> None:
 
 def test_the_driver_decides_as_the_network_does_and_alone_as_in_a_batch() -> None:
     network, batch = networks()[0]
-    driver = POINT_TRANSFORMER.driver(network, 0.5)
-    sure = driver.brake_probability(batch)
+    policy = POINT_TRANSFORMER.policy(network, 0.5)
+    sure = policy.brake_probability(batch)
     np.testing.assert_allclose(sure, torch.softmax(logits(network, batch), 1)[:, 1].detach().numpy(), atol=1e-5)
     threshold = float(np.sort(sure)[1])
-    driver = POINT_TRANSFORMER.driver(network, threshold)
-    alone = [driver.act({name: part[b] for name, part in batch.items()}) for b in range(4)]
-    assert driver.act_batch(batch).tolist() == alone
+    policy = POINT_TRANSFORMER.policy(network, threshold)
+    alone = [policy.act({name: part[b] for name, part in batch.items()}) for b in range(4)]
+    assert policy.act_batch(batch).tolist() == alone
     assert set(alone) == {0, 1}
-    assert not driver.privileged
-    assert driver.act_batch({name: part[:0] for name, part in batch.items()}).shape == (0,)
+    assert not policy.privileged
+    assert policy.act_batch({name: part[:0] for name, part in batch.items()}).shape == (0,)
 
 
 def test_what_the_vehicles_send_decides_as_training_has_it() -> None:
@@ -164,7 +164,7 @@ def test_what_the_vehicles_send_decides_as_training_has_it() -> None:
         cloud[b, : len(row)], mask[b, : len(row)] = row, 1
     observed = {"cloud": cloud, "cloud_mask": mask, "command": batch["command"]}
     assert mask.sum() == batch["clouds_mask"].sum() > 300, "all points are keypoints here"
-    found = COMPRESSED.driver(network, 0.5).brake_probability(observed)
+    found = COMPRESSED.policy(network, 0.5).brake_probability(observed)
     np.testing.assert_allclose(found, torch.softmax(logits(network, batch), 1)[:, 1].detach().numpy(), atol=2e-3)
 
 
@@ -177,8 +177,8 @@ def test_a_message_does_not_depend_on_the_other_clouds_of_its_batch() -> None:
 
 
 def test_the_first_weights_are_a_function_of_the_seed() -> None:
-    for family, config in ((POINT_TRANSFORMER, PointTransformerConfig()), (COMPRESSED, CompressedConfig())):
-        first, again, other = (family.build(config, seed).state_dict() for seed in (1, 1, 2))
+    for spec, config in ((POINT_TRANSFORMER, PointTransformerConfig()), (COMPRESSED, CompressedConfig())):
+        first, again, other = (spec.build(config, seed).state_dict() for seed in (1, 1, 2))
         assert all(torch.equal(first[name], again[name]) for name in first)
         assert any(not torch.equal(first[name], other[name]) for name in first)
 

@@ -20,8 +20,8 @@ from policies.spec import Frames
 from policies.stgraph.compiled.attention import exponentials
 from policies.stgraph.compiled.module import FusedNet, fused_logits, supports
 from policies.stgraph.network import StGraphConfig, StGraphNet
-from policies.stgraph.spec import FAMILY
-from policies.threshold_policy import LearnedPolicy
+from policies.stgraph.policy import StGraphPolicy
+from policies.stgraph.spec import SPEC
 from policies.training.cloning import Recipe, fit
 from policies.training.demonstrations import joined, record, replay
 from tests.policies.stgraph.test_stgraph import PAPER, VARIANTS, network, observations, tensors
@@ -52,7 +52,7 @@ Arrays = dict[str, np.ndarray]
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Frames:
     folder = tmp_path_factory.mktemp("demonstrations")
     envs = CADVectorEnv(8, scenario="left_turn")
-    return FAMILY.frames(*replay(joined(record(folder, envs, None, range(8), lambda _: None)), envs, FAMILY.look))
+    return SPEC.frames(*replay(joined(record(folder, envs, None, range(8), lambda _: None)), envs, SPEC.look))
 
 
 def differences(net: StGraphNet, batch: Arrays) -> tuple[float, float]:
@@ -137,7 +137,7 @@ def same_decisions(count: int) -> None:
         dense = dense_logits(net, batch) @ (-1, 1)
         # The threshold splits the scenes in two halves, so both decisions occur.
         threshold = 1 / (1 + np.exp(-np.median(dense) + 1e-9))
-        decided = LearnedPolicy(net, threshold).act_batch(batch)
+        decided = StGraphPolicy(net, threshold).act_batch(batch)
         np.testing.assert_array_equal(decided, 1 / (1 + np.exp(-dense)) >= threshold)
         assert 0.4 < decided.mean() < 0.6
 
@@ -153,15 +153,15 @@ def test_10000_random_observations_are_decided_as_by_the_dense_network() -> None
 
 @pytest.mark.slow
 def test_10000_recorded_observations_are_decided_by_the_shipped_network_as_by_its_dense_self(tmp_path: Path) -> None:
-    model = load_model(shipped_models("left_turn") / "shared")
+    model = load_model(shipped_models("left_turn") / "stgraph")
     seen = 0
     for scenario in SCENARIOS:
         envs = CADVectorEnv(32, scenario=scenario)
-        recording = joined(record(tmp_path / scenario, envs, None, range(40), lambda _: None))
-        frames = FAMILY.frames(*replay(recording, envs, FAMILY.look))
+        demonstrations = joined(record(tmp_path / scenario, envs, None, range(40), lambda _: None))
+        frames = SPEC.frames(*replay(demonstrations, envs, SPEC.look))
         batch = frames.batch(np.arange(len(frames)))
         dense = dense_logits(model.network.double(), batch) @ (-1, 1)
-        decided = LearnedPolicy(model.network, model.threshold).act_batch(batch)
+        decided = StGraphPolicy(model.network, model.threshold).act_batch(batch)
         np.testing.assert_array_equal(decided, 1 / (1 + np.exp(-dense)) >= model.threshold)
         seen += len(frames)
     assert seen >= 10_000
@@ -169,12 +169,12 @@ def test_10000_recorded_observations_are_decided_by_the_shipped_network_as_by_it
 
 @pytest.mark.parametrize("name", FUSED)
 def test_a_scene_alone_gives_the_same_bits_as_in_any_batch(name: str) -> None:
-    driver, batch = LearnedPolicy(network(FUSED[name])), scenes(np.random.default_rng(1), 50)
-    together = driver.brake_probability(batch)
+    policy, batch = StGraphPolicy(network(FUSED[name])), scenes(np.random.default_rng(1), 50)
+    together = policy.brake_probability(batch)
     assert len(np.unique(together)) > 40
     for size in (1, 3, 7, 17):
         parts = [
-            driver.brake_probability({k: v[at : at + size] for k, v in batch.items()}) for at in range(0, 50, size)
+            policy.brake_probability({k: v[at : at + size] for k, v in batch.items()}) for at in range(0, 50, size)
         ]
         np.testing.assert_array_equal(np.concatenate(parts), together)
 
@@ -209,7 +209,7 @@ def test_any_other_network_goes_the_dense_way(name: str) -> None:
     net, batch = network(DENSE[name]), observations()
     assert not supports(DENSE[name])
     assert max(differences(net, batch)) == 0
-    probability = LearnedPolicy(net).brake_probability(batch)
+    probability = StGraphPolicy(net).brake_probability(batch)
     np.testing.assert_allclose(probability, 1 / (1 + np.exp(-dense_logits(net, batch) @ (-1, 1))), atol=1e-12)
 
 
@@ -234,7 +234,7 @@ def test_training_fused_goes_where_training_dense_goes(recorded: Frames, monkeyp
         net = StGraphNet(seed=5).double()
         adam = torch.optim.Adam(net.parameters(), lr=1e-3)
         rng = np.random.default_rng(0)
-        fit(FAMILY, net, adam, {"left_turn": recorded}, Recipe(batch=16), range(10), 10, rng, lambda _: None)
+        fit(SPEC, net, adam, {"left_turn": recorded}, Recipe(batch=16), range(10), 10, rng, lambda _: None)
         ends.append(torch.cat([parameter.detach().flatten() for parameter in net.parameters()]))
     assert float((ends[0] - ends[1]).abs().max()) < 1e-7
 

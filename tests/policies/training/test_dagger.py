@@ -16,7 +16,7 @@ from cad_env.types import BRAKE, Policy
 from policies.model_folder import ModelError, load_model
 from policies.spec import Frames
 from policies.stgraph.network import StGraphNet
-from policies.stgraph.spec import FAMILY
+from policies.stgraph.spec import SPEC
 from policies.training.cloning import Recipe, Worth, balanced, drive, fit, load_state, save_state
 from policies.training.dagger import Course, train
 from policies.training.demonstrations import joined, record, replay
@@ -24,7 +24,7 @@ from policies.training.validation_log import Log
 
 NAMES = tuple(SCENARIOS)[:2]
 TINY = Course(
-    scenarios=NAMES, episodes=6, corrections=1, corrected_episodes=2, steps=8, segments=2, validation=1,
+    scenarios=NAMES, episodes=6, dagger_rounds=1, dagger_episodes=2, steps=8, segments=2, validation=1,
     final_validation=1, recipe=Recipe(batch=16),
 )  # fmt: skip
 
@@ -36,7 +36,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Frames]:
     for name in NAMES:
         envs = CADVectorEnv(6, scenario=name)
         recorded = joined(record(folder / name, envs, None, range(6), lambda n: None))
-        found[name] = FAMILY.frames(*replay(recorded, envs, FAMILY.look))
+        found[name] = SPEC.frames(*replay(recorded, envs, SPEC.look))
     return found
 
 
@@ -59,9 +59,9 @@ def test_the_loss_falls(frames: dict[str, Frames]) -> None:
     network = StGraphNet(seed=0)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
     rng, recipe = np.random.default_rng(0), Recipe(batch=32, learning_rate=1e-2)
-    first = fit(FAMILY, network, optimiser, frames, recipe, range(5), 60, rng, lambda n: None)
-    fit(FAMILY, network, optimiser, frames, recipe, range(5, 55), 60, rng, lambda n: None)
-    last = fit(FAMILY, network, optimiser, frames, recipe, range(55, 60), 60, rng, lambda n: None)
+    first = fit(SPEC, network, optimiser, frames, recipe, range(5), 60, rng, lambda n: None)
+    fit(SPEC, network, optimiser, frames, recipe, range(5, 55), 60, rng, lambda n: None)
+    last = fit(SPEC, network, optimiser, frames, recipe, range(55, 60), 60, rng, lambda n: None)
     assert last < 0.9 * first
 
 
@@ -87,7 +87,7 @@ def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames
                 assert load_state(tmp_path / "state.safetensors", network, optimiser) == 0.25
             rng = np.random.default_rng(part)
             fit(
-                FAMILY,
+                SPEC,
                 network,
                 optimiser,
                 frames,
@@ -105,10 +105,10 @@ def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames
 def test_the_learning_rate_falls_once_over_all_rounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rates: list[float] = []
 
-    def watched(family: Any, network: Any, optimiser: torch.optim.Adam, *others: Any) -> float:
+    def watched(spec: Any, network: Any, optimiser: torch.optim.Adam, *others: Any) -> float:
         advance = others[-1]
         return fit(
-            family, network, optimiser, *others[:-1],
+            spec, network, optimiser, *others[:-1],
             lambda n: (advance(n), rates.append(optimiser.param_groups[0]["lr"])),
         )  # fmt: skip
 
@@ -184,7 +184,7 @@ def test_stopped_in_the_first_scenario_of_a_validation_it_fits_nothing_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     train(TINY, tmp_path / "whole", lambda work: None)
-    rounds = TINY.corrections + 1
+    rounds = TINY.dagger_rounds + 1
     last = rounds * TINY.segments  # the validation after the last segment
     begun: list[range] = []
 
@@ -214,19 +214,19 @@ def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then
     for segment, failures, times in ((0, (0, 5), (9.0, 9.0)), (1, (2, 2), (9.0, 12.0)), (2, (4, 0), (9.0, 11.0))):
         for name, few, time in zip(("one", "two"), failures, times, strict=True):
             add(segment, name, few, time)
-    assert log.drivers() == [(0, 2, 0.5), (0, 1, 0.5), (0, 0, 0.5)]
-    assert Log(tmp_path / "metrics.csv").drivers() == log.drivers()
+    assert log.ranked() == [(0, 2, 0.5), (0, 1, 0.5), (0, 0, 0.5)]
+    assert Log(tmp_path / "metrics.csv").ranked() == log.ranked()
     log.forget(0, 0)
     add(0, "one", 0, 9.0)
     add(0, "two", 0, 9.0)
-    assert log.drivers()[0] == (0, 0, 0.5)
+    assert log.ranked()[0] == (0, 0, 0.5)
     assert len(log.rows) == 6
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("episodes", 0), ("steps", 1), ("corrections", -1), ("corrections", 50), ("radio", "dsrk"),
+        ("episodes", 0), ("steps", 1), ("dagger_rounds", -1), ("dagger_rounds", 50), ("radio", "dsrk"),
         ("thresholds", ()), ("thresholds", (0.5, 0.5)),
     ],
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A recording: what was driven comes back frame by frame, under any radio, and what is damaged is refused."""
+"""A demonstrations: what was driven comes back frame by frame, under any radio, and what is damaged is refused."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,11 +13,11 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.rules.expert import Expert
 from cad_env.types import BRAKE, Observation
 from policies.stgraph.network import StGraphNet
-from policies.stgraph.spec import FAMILY
-from policies.threshold_policy import LearnedPolicy
-from policies.training import demonstrations as recording
+from policies.stgraph.policy import StGraphPolicy
+from policies.stgraph.spec import SPEC
+from policies.training import demonstrations as demonstrations
 from policies.training.demonstrations import (
-    Recording,
+    Demonstrations,
     ReplayError,
     ShardError,
     joined,
@@ -32,11 +32,11 @@ MADE_WITH = {"scenario": "left_turn"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("recording")
+    return tmp_path_factory.mktemp("demonstrations")
 
 
 @pytest.fixture(scope="module")
-def recorded(folder: Path) -> Recording:
+def recorded(folder: Path) -> Demonstrations:
     return joined(record(folder, CADVectorEnv(4, radio="none"), None, range(6), lambda n: None))
 
 
@@ -45,7 +45,7 @@ def seen(simulation: object, observation: Observation) -> Observation:
 
 
 @pytest.mark.parametrize("radio", ["dsrc", "none"])
-def test_a_replay_shows_every_frame_as_the_expert_met_it(recorded: Recording, radio: str) -> None:
+def test_a_replay_shows_every_frame_as_the_expert_met_it(recorded: Demonstrations, radio: str) -> None:
     env, expert = CADEnv(radio=radio), Expert()
     looks, labels = replay(recorded, CADVectorEnv(3, radio=radio), seen)
     mine = np.flatnonzero(np.repeat(recorded.seed, recorded.length) == 3)
@@ -59,10 +59,10 @@ def test_a_replay_shows_every_frame_as_the_expert_met_it(recorded: Recording, ra
     assert info["outcome"] == "success"
 
 
-def test_frames_are_the_observations_that_were_replayed(recorded: Recording) -> None:
+def test_frames_are_the_observations_that_were_replayed(recorded: Demonstrations) -> None:
     envs = CADVectorEnv(4)
     looks, _ = replay(recorded, envs, seen)
-    frames = FAMILY.frames(*replay(recorded, envs, FAMILY.look))
+    frames = SPEC.frames(*replay(recorded, envs, SPEC.look))
     chosen = np.array([7, 0, 7, len(frames) - 1])
     for name, values in frames.batch(chosen).items():
         half_a_centimetre = 0.0051 if name == "tracks" else 0.0
@@ -74,8 +74,8 @@ def test_frames_are_the_observations_that_were_replayed(recorded: Recording) -> 
     assert 0.0 < (frames.label == BRAKE).mean() < 0.3
 
 
-def test_joined_frames_keep_their_order(recorded: Recording) -> None:
-    frames = FAMILY.frames(*replay(recorded, CADVectorEnv(4), FAMILY.look))
+def test_joined_frames_keep_their_order(recorded: Demonstrations) -> None:
+    frames = SPEC.frames(*replay(recorded, CADVectorEnv(4), SPEC.look))
     both = frames.joined([frames])
     assert len(both) == 2 * len(frames)
     last = np.array([len(frames) - 1])
@@ -85,13 +85,13 @@ def test_joined_frames_keep_their_order(recorded: Recording) -> None:
 def test_a_frame_without_any_node_is_kept() -> None:
     observation, _ = CADEnv().reset(seed=0)
     nothing = {**observation, "mask": np.zeros_like(observation["mask"])}
-    looks = [FAMILY.look(None, one) for one in (nothing, observation)]  # type: ignore[arg-type]
-    frames = FAMILY.frames(looks, [0, 0])
+    looks = [SPEC.look(None, one) for one in (nothing, observation)]  # type: ignore[arg-type]
+    frames = SPEC.frames(looks, [0, 0])
     assert not frames.batch(np.array([0]))["mask"].any()
     np.testing.assert_array_equal(frames.batch(np.array([1]))["mask"][0], observation["mask"])
 
 
-def test_an_episode_that_goes_another_way_is_an_error(recorded: Recording) -> None:
+def test_an_episode_that_goes_another_way_is_an_error(recorded: Demonstrations) -> None:
     with pytest.raises(ReplayError, match="does not end as it was recorded"):
         replay(recorded, CADVectorEnv(2, traffic="dense"), seen)
     with pytest.raises(ReplayError, match="episode 2 does"):
@@ -100,26 +100,26 @@ def test_an_episode_that_goes_another_way_is_an_error(recorded: Recording) -> No
 
 @pytest.mark.parametrize("mixing", [0.0, 0.5, 1.0])
 def test_whoever_drives_the_label_is_the_experts_and_mixing_is_its_share(mixing: float, tmp_path: Path) -> None:
-    driver = LearnedPolicy(StGraphNet(seed=1), threshold=0.0)  # it always brakes, the expert hardly ever
-    driven = joined(record(tmp_path, CADVectorEnv(2), driver, range(2), lambda n: None, mixing))
+    policy = StGraphPolicy(StGraphNet(seed=1), threshold=0.0)  # it always brakes, the expert hardly ever
+    driven = joined(record(tmp_path, CADVectorEnv(2), policy, range(2), lambda n: None, mixing))
     braked = driven.action == BRAKE
     assert (driven.label == BRAKE).mean() < 0.3
     assert {0.0: braked.all(), 0.5: 0.3 < braked.mean() < 0.8, 1.0: (driven.action == driven.label).all()}[mixing]
 
 
 def test_a_second_recording_reads_the_shards_of_the_first(
-    folder: Path, recorded: Recording, monkeypatch: pytest.MonkeyPatch
+    folder: Path, recorded: Demonstrations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def drive(*_: object) -> Iterator[Recording]:
+    def drive(*_: object) -> Iterator[Demonstrations]:
         raise AssertionError("an episode was driven again")
 
-    monkeypatch.setattr(recording, "_drive", drive)
+    monkeypatch.setattr(demonstrations, "_drive", drive)
     again = joined(record(folder, CADVectorEnv(2, radio="ideal"), None, range(6), lambda n: None))
     np.testing.assert_array_equal(again.action, recorded.action)
 
 
 def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
-    recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recorded: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     driven: list[int] = []
 
@@ -130,9 +130,9 @@ def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
             if len(driven) == 4:
                 raise KeyboardInterrupt
 
-    played = recording._play
-    monkeypatch.setattr(recording, "_play", watched)
-    monkeypatch.setattr(recording, "KEPT_EVERY", 0.0)
+    played = demonstrations._play
+    monkeypatch.setattr(demonstrations, "_play", watched)
+    monkeypatch.setattr(demonstrations, "KEPT_EVERY", 0.0)
     with pytest.raises(KeyboardInterrupt):
         record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None)
     again = joined(record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None))
@@ -143,18 +143,18 @@ def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
 
 
 def test_a_shard_that_another_process_finishes_meanwhile_is_no_error(
-    folder: Path, recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, recorded: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun = tmp_path / "shard_00000.begun.npz"
     begun.write_bytes((folder / "shard_00000.npz").read_bytes())
-    reads = recording.read_shard
+    reads = demonstrations.read_shard
 
-    def finished_first(path: Path, made_with: Any) -> Recording:
+    def finished_first(path: Path, made_with: Any) -> Demonstrations:
         if path == begun:
             begun.unlink()
         return reads(path, made_with)
 
-    monkeypatch.setattr(recording, "read_shard", finished_first)
+    monkeypatch.setattr(demonstrations, "read_shard", finished_first)
     again = joined(record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None))
     np.testing.assert_array_equal(again.action, recorded.action)
     begun.write_bytes(b"left by a kill between the last two steps")
@@ -162,7 +162,7 @@ def test_a_shard_that_another_process_finishes_meanwhile_is_no_error(
     assert not begun.exists()
 
 
-def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded: Recording) -> None:
+def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded: Demonstrations) -> None:
     with pytest.raises(ShardError, match="holds other episodes"):
         record(folder, CADVectorEnv(1), None, range(5), lambda n: None)
     with pytest.raises(ShardError, match="has traffic 'light', not 'dense'"):
@@ -170,7 +170,7 @@ def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded
 
 
 @pytest.mark.parametrize("damage", ["truncated", "altered", "empty", "text", "missing"])
-def test_a_damaged_shard_is_refused_with_its_name(damage: str, recorded: Recording, tmp_path: Path) -> None:
+def test_a_damaged_shard_is_refused_with_its_name(damage: str, recorded: Demonstrations, tmp_path: Path) -> None:
     path = tmp_path / "shard_00000.npz"
     write_shard(path, recorded, MADE_WITH)
     whole = path.read_bytes()
@@ -190,7 +190,7 @@ def test_a_damaged_shard_is_refused_with_its_name(damage: str, recorded: Recordi
     assert "\n" not in str(error.value)
 
 
-def test_a_shard_whose_arrays_do_not_fit_is_refused(recorded: Recording, tmp_path: Path) -> None:
+def test_a_shard_whose_arrays_do_not_fit_is_refused(recorded: Demonstrations, tmp_path: Path) -> None:
     path = tmp_path / "shard.npz"
     write_shard(path, replace(recorded, label=recorded.label[:-1]), MADE_WITH)
     with pytest.raises(ShardError, match="do not fit"):

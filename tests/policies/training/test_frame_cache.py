@@ -9,27 +9,27 @@ import numpy as np
 import pytest
 
 from cad_env.envs.vector import CADVectorEnv
-from policies.registry import family_named
+from policies.registry import spec_named
 from policies.spec import Frames
 from policies.training import frame_cache as kept_frames
 from policies.training.cloning import Recipe, fit
 from policies.training.dagger import Course, train
-from policies.training.demonstrations import Recording, joined, record, replay
+from policies.training.demonstrations import Demonstrations, joined, record, replay
 from policies.training.frame_cache import frames_of
 
 KEPT = ("compressed", "point_transformer")
-POINTS = family_named("compressed")
+POINTS = spec_named("compressed")
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Demonstrations:
     return joined(
         record(tmp_path_factory.mktemp("shards"), CADVectorEnv(2, radio="none"), None, range(2), lambda n: None)
     )
 
 
-def scenes(family: Any, network: Any, **options: Any) -> CADVectorEnv:
-    return CADVectorEnv(2, **{"radio": "ideal", **family.replayed(network), **options})
+def scenes(spec: Any, network: Any, **options: Any) -> CADVectorEnv:
+    return CADVectorEnv(2, **{"radio": "ideal", **spec.replayed(network), **options})
 
 
 def assert_same(found: Frames, wanted: Frames) -> None:
@@ -44,19 +44,21 @@ def assert_same(found: Frames, wanted: Frames) -> None:
 
 
 @pytest.fixture
-def made(recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., bool]:
+def made(recorded: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., bool]:
     """Whether frames had to be made by a replay, whose answer is always the same."""
     network = POINTS.build(POINTS.config_type(), seed=0)
     answer = replay(recorded, scenes(POINTS, network), POINTS.look)
-    wanted, calls = POINTS.frames(*answer), list[Recording]()
+    wanted, calls = POINTS.frames(*answer), list[Demonstrations]()
 
-    def replayed(of: Recording, envs: CADVectorEnv, look: object) -> Any:
+    def replayed(of: Demonstrations, envs: CADVectorEnv, look: object) -> Any:
         calls.append(of)
         return answer
 
     monkeypatch.setattr(kept_frames, "replay", replayed)
 
-    def asked(of: Recording = recorded, seed: int = 0, knobs: Any = None, folder: Path = tmp_path, **envs: Any) -> bool:
+    def asked(
+        of: Demonstrations = recorded, seed: int = 0, knobs: Any = None, folder: Path = tmp_path, **envs: Any
+    ) -> bool:
         calls.clear()
         network = POINTS.build(POINTS.config_type(**(knobs or {})), seed)
         assert_same(frames_of(folder, of, scenes(POINTS, network, **envs), POINTS, network), wanted)
@@ -66,22 +68,24 @@ def made(recorded: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", KEPT)
-def test_kept_frames_are_those_of_a_replay_to_the_last_byte(name: str, recorded: Recording, tmp_path: Path) -> None:
-    family = family_named(name)
-    network = family.build(family.config_type(), seed=0)
-    envs = scenes(family, network)
-    wanted = family.frames(*replay(recorded, envs, family.look))
+def test_kept_frames_are_those_of_a_replay_to_the_last_byte(
+    name: str, recorded: Demonstrations, tmp_path: Path
+) -> None:
+    spec = spec_named(name)
+    network = spec.build(spec.config_type(), seed=0)
+    envs = scenes(spec, network)
+    wanted = spec.frames(*replay(recorded, envs, spec.look))
     for _ in range(2):
-        assert_same(frames_of(tmp_path, recorded, envs, family, network), wanted)
+        assert_same(frames_of(tmp_path, recorded, envs, spec, network), wanted)
     (path,) = tmp_path.glob("*/*.npz")
     assert path.parent.name.startswith(f"{name}_")
 
 
 @pytest.mark.parametrize("name", ["stgraph", "command"])
-def test_what_is_replayed_fast_is_not_kept(name: str, recorded: Recording, tmp_path: Path) -> None:
-    family = family_named(name)
-    network = family.build(family.config_type(), seed=0)
-    assert len(frames_of(tmp_path, recorded, scenes(family, network), family, network)) == recorded.length.sum()
+def test_what_is_replayed_fast_is_not_kept(name: str, recorded: Demonstrations, tmp_path: Path) -> None:
+    spec = spec_named(name)
+    network = spec.build(spec.config_type(), seed=0)
+    assert len(frames_of(tmp_path, recorded, scenes(spec, network), spec, network)) == recorded.length.sum()
     assert not list(tmp_path.iterdir())
 
 
@@ -108,7 +112,7 @@ def test_whatever_is_seen_otherwise_has_frames_of_its_own(other: dict[str, Any],
 
 
 def test_other_episodes_and_other_code_have_frames_of_their_own(
-    made: Callable[..., bool], recorded: Recording, monkeypatch: pytest.MonkeyPatch
+    made: Callable[..., bool], recorded: Demonstrations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert made()
     assert made(replace(recorded, label=1 - recorded.label))
@@ -119,20 +123,20 @@ def test_other_episodes_and_other_code_have_frames_of_their_own(
 
 @pytest.mark.parametrize("name", KEPT)
 def test_scenes_to_replay_in_and_frames_depend_on_no_other_knob_than_is_told(name: str) -> None:
-    family = family_named(name)
+    spec = spec_named(name)
     asked = set[str]()
 
-    class Noting(family.config_type):  # type: ignore[misc,name-defined]
+    class Noting(spec.config_type):  # type: ignore[misc,name-defined]
         def __getattribute__(self, knob: str) -> Any:
             asked.add(knob)
             return super().__getattribute__(knob)
 
-    network = family.build(family.config_type(), seed=0)
-    network.config = Noting(**asdict(family.config_type()))
+    network = spec.build(spec.config_type(), seed=0)
+    network.config = Noting(**asdict(spec.config_type()))
     asked.clear()
-    cloud = family.replayed(network)["cloud"]
+    cloud = spec.replayed(network)["cloud"]
     cloud.codec.encode([np.ones((5, 3))])
-    assert asked & set(asdict(family.config_type())) == set(family.looked_with(family.config_type()))
+    assert asked & set(asdict(spec.config_type())) == set(spec.looked_with(spec.config_type()))
 
 
 def test_a_damaged_or_foreign_file_is_made_anew(made: Callable[..., bool], tmp_path: Path) -> None:
@@ -170,9 +174,9 @@ def test_a_full_disk_leaves_nothing_behind(
 
 def tiny(name: str, **changes: Any) -> Course:
     return Course(
-        scenarios=("left_turn",), radio="ideal", episodes=6, corrections=0, steps=3, validation=1, final_validation=1,
-        segments=1, thresholds=(0.5,), recipe=Recipe(batch=6), family=name,
-        network=family_named(name).config_type(mlp_width=8), **changes,
+        scenarios=("left_turn",), radio="ideal", episodes=6, dagger_rounds=0, steps=3, validation=1, final_validation=1,
+        segments=1, thresholds=(0.5,), recipe=Recipe(batch=6), spec=name,
+        network=spec_named(name).config_type(mlp_width=8), **changes,
     )  # fmt: skip
 
 
@@ -181,15 +185,15 @@ def test_further_seeds_replay_nothing_of_the_expert_and_end_in_the_same_model(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for folder in ("first", "second"):
-        train(tiny(name), tmp_path / folder, lambda work: None, family_named, tmp_path / "recording")
+        train(tiny(name), tmp_path / folder, lambda work: None, tmp_path / "demonstrations")
         monkeypatch.setattr(kept_frames, "replay", None)
     for file in ("model.safetensors", "metrics.csv"):
         assert (tmp_path / "second" / file).read_bytes() == (tmp_path / "first" / file).read_bytes()
-    train(tiny(name, seed=1), tmp_path / "third", lambda work: None, family_named, tmp_path / "recording")
+    train(tiny(name, seed=1), tmp_path / "third", lambda work: None, tmp_path / "demonstrations")
 
 
 def test_a_restart_replays_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    course = replace(tiny("compressed"), corrections=1, corrected_episodes=1)
+    course = replace(tiny("compressed"), dagger_rounds=1, dagger_episodes=1)
 
     def stopping(*given: Any) -> float:
         if given[5].start > 0:
@@ -199,7 +203,7 @@ def test_a_restart_replays_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with monkeypatch.context() as patched:
         patched.setattr("policies.training.dagger.fit", stopping)
         with pytest.raises(KeyboardInterrupt):
-            train(course, tmp_path, lambda work: None, family_named)
+            train(course, tmp_path, lambda work: None)
     monkeypatch.setattr(kept_frames, "replay", None)
-    train(course, tmp_path, lambda work: None, family_named)
-    assert len(list(tmp_path.glob("corrections/left_turn/frames/compressed_*/*.npz"))) == 1
+    train(course, tmp_path, lambda work: None)
+    assert len(list(tmp_path.glob("dagger_rounds/left_turn/frames/compressed_*/*.npz"))) == 1

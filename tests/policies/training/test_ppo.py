@@ -7,16 +7,16 @@ import pytest
 import torch
 
 from baselines.evaluation.settings import Settings
-from baselines.methods import contender_named
+from baselines.methods import method_named
 from baselines.paper.open_loop import FIRST_SEED
 from baselines.paper.presets import PRESETS
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
 from cad_env.types import BRAKE
 from policies.stgraph.network import StGraphConfig
-from policies.threshold_policy import LearnedPolicy
+from policies.stgraph.policy import StGraphPolicy
 from policies.training import ppo
-from policies.training.dagger import CORRECTED_SEEDS, EXPERT_SEEDS, FINAL_SEEDS, VALIDATION_SEEDS, Course
+from policies.training.dagger import DAGGER_SEEDS, EXPERT_SEEDS, FINAL_SEEDS, VALIDATION_SEEDS, Course
 from policies.training.ppo import PpoConfig, actor_of, train_ppo
 from policies.training.sb3_env import SEEDS, Scenes
 
@@ -42,17 +42,17 @@ def test_an_episode_ends_with_its_last_sight_and_the_next_begins_in_the_same_ste
         assert info["TimeLimit.truncated"]
         assert info["episode"]["l"] == 300
         assert not np.array_equal(info["terminal_observation"]["tracks"], seen["tracks"][place])
-    assert scenes.scenes.ensemble.infos(np.ones(2, np.bool_))["seed"].max() < SEEDS
+    assert scenes.scenes.batch.infos(np.ones(2, np.bool_))["seed"].max() < SEEDS
 
 
 def test_seeds_that_judge_are_not_learned_from():
     assert SEEDS <= VALIDATION_SEEDS
     for preset in PRESETS.values():
-        course = Course(episodes=preset.episodes, corrections=preset.corrections, validation=preset.validation)
-        corrected = [CORRECTED_SEEDS + turn * 10_000 for turn in range(1, preset.corrections + 1)]
+        course = Course(episodes=preset.episodes, dagger_rounds=preset.dagger_rounds, validation=preset.validation)
+        corrected = [DAGGER_SEEDS + turn * 10_000 for turn in range(1, preset.dagger_rounds + 1)]
         parts = [
             range(EXPERT_SEEDS, EXPERT_SEEDS + preset.episodes),
-            *(range(first, first + preset.corrected_episodes) for first in corrected),
+            *(range(first, first + preset.dagger_episodes) for first in corrected),
             range(FIRST_SEED, FIRST_SEED + preset.open_loop),
             range(VALIDATION_SEEDS, VALIDATION_SEEDS + preset.validation),
             range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation),
@@ -66,7 +66,7 @@ def test_the_same_seed_draws_the_same_episodes():
         scenes = Scenes(2, SCENES, "none", StGraphConfig())
         scenes.seed(seed)
         scenes.reset()
-        return scenes.scenes.ensemble.infos(np.ones(2, np.bool_))["seed"].tolist()
+        return scenes.scenes.batch.infos(np.ones(2, np.bool_))["seed"].tolist()
 
     assert drawn(1) == drawn(1) != drawn(2)
 
@@ -81,7 +81,7 @@ def test_what_is_saved_decides_as_the_learner_does():
     with torch.no_grad():
         tensors, _ = model.policy.obs_to_tensor(seen)
         wanted = model.policy.get_distribution(tensors).distribution.probs[:, 1].numpy()
-    found = LearnedPolicy(actor_of(model, config.network)).brake_probability(seen)
+    found = StGraphPolicy(actor_of(model, config.network)).brake_probability(seen)
     np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
@@ -94,8 +94,8 @@ def test_a_run_that_is_stopped_goes_on_as_if_it_had_not(tmp_path: Path):
             train_ppo(tmp_path / name / "ppo", steps, 5, SCENES, config=config)
         models.append((tmp_path / name / "ppo" / "model.safetensors").read_bytes())
     assert models[0] == models[1]
-    driver = contender_named("ppo").make_policy(tmp_path / "whole")
-    episodes = list(rollouts(CADVectorEnv(2, scenario="left_turn"), driver, range(2)))
+    policy = method_named("ppo").make_policy(tmp_path / "whole")
+    episodes = list(rollouts(CADVectorEnv(2, scenario="left_turn"), policy, range(2)))
     assert len(episodes) == 2
 
 

@@ -18,11 +18,11 @@ GAP = 8  # pixels between two pictures side by side
 
 
 def filmed(
-    env: CADEnv, policy: Policy, seed: int, contender: str = "", hazard: bool | None = None, extra: Sequence[Layer] = ()
+    env: CADEnv, policy: Policy, seed: int, method: str = "", hazard: bool | None = None, extra: Sequence[Layer] = ()
 ) -> tuple[Episode, list[Image]]:
     """Drive one episode as `rollout` does, and draw it: at the start and after every decision."""
     frames: list[Image] = []
-    episode = rollout(env, policy, seed, contender, hazard, watch=lambda env, *_: frames.append(picture(env, extra)))
+    episode = rollout(env, policy, seed, method, hazard, watch=lambda env, *_: frames.append(picture(env, extra)))
     return episode, [*frames, picture(env, extra)]
 
 

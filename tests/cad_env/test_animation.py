@@ -7,8 +7,8 @@ import PIL.Image
 import pytest
 from scenes import Steady
 
+from cad_env.animation import GAP, HOLD, filmed, side_by_side, write_gif
 from cad_env.envs.single import CADEnv
-from cad_env.rendering.animation import GAP, HOLD, filmed, side_by_side, write_gif
 from cad_env.rendering.danger import danger
 from cad_env.scoring.rollout import rollout
 from cad_env.types import GO

@@ -52,7 +52,7 @@ def test_scenarios_come_in_the_order_they_are_asked_for() -> None:
 
 
 def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
-    asked = Settings(scenario=("left_turn",), method=("expert",), loss=0.3, jobs=2, policy=(Path("a b"),), shard="1/2")
+    asked = Settings(scenario=("left_turn",), method=("expert",), loss=0.3, jobs=2, models=(Path("a b"),), shard="1/2")
     words = shlex.split(asked.command())
     assert words[:2] == ["python", "evaluate.py"]
     assert cli.parsed(Settings, words[2:]) == replace(asked, jobs=1, shard=None)

@@ -51,9 +51,9 @@ def test_every_seed_is_scored_by_itself_and_the_rules_once(tmp_path: Path, capsy
 
 def test_folders_of_the_same_name_are_refused() -> None:
     with pytest.raises(ValueError, match="policy folders must have different names, got a/x b/x"):
-        Settings(policy=(Path("a/x"), Path("b/x")))
+        Settings(models=(Path("a/x"), Path("b/x")))
 
 
 def test_without_anything_learned_there_is_one_run() -> None:
-    settings = Settings(policy=(Path("a"), Path("b")), method=("expert",))
+    settings = Settings(models=(Path("a"), Path("b")), method=("expert",))
     assert list(runs_of(settings)) == ["rules"]

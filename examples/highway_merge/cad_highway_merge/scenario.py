@@ -26,11 +26,11 @@ class HighwayMergeRanges(Ranges):
     collider_speed: Range = span(22.0, 28.0, within=(10.0, 32.0))  # m/s of the vehicle in the hidden lane
     hazard_timing: Range = span(0.1, 0.9, within=(-0.5, 1.5))  # s it is where they meet after an unbraked ego
     early: Range = span(2.5, 4.5, within=(0.0, 30.0))  # s before the ego, when it passes clearly before
-    late: Range = span(4.0, 6.0, within=(0.0, 12.0))  # s after the ego, when it passes clearly after
+    late: Range = span(2.8, 5.6, within=(0.0, 12.0))  # s after the ego, when it passes clearly after
     truck_length: Range = span(12.0, 16.5, within=(6.0, 18.0))  # m, of every lorry of the row
     truck_width: Range = span(2.4, 2.6, within=(1.5, 2.6))  # m
     truck_front: Range = span(18.0, 21.0, within=(17.5, 40.0))  # m before the bend to the front of the first lorry
-    row_length: tuple[int, int] = count(6, 8, within=(1, 8))  # lorries
+    row_length: tuple[int, int] = count(8, 10, within=(1, 12))  # lorries
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -15,6 +15,7 @@ from cad_highway_merge.road import ENTER, GOAL, LANE, PLANS, RAMP, WEST, highway
 MEET = RAMP  # m along the ramp, and x = 0 on the highway: the ego's side is in the right lane
 SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
 BESIDE = 0.5 * LANE + 0.25  # m from the middle of the right lane to the parked lorries
+FOLLOWERS = 210.0  # m of the left lane behind a collider, which the traffic there may need
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class HighwayMergeRanges(Ranges):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_road(self, self.ego_start[1] + MEET - ENTER, SLOW_START, -WEST)
+        check_road(self, self.ego_start[1] + MEET - ENTER, SLOW_START, -WEST - FOLLOWERS)
 
 
 def cast(road: Map, ranges: HighwayMergeRanges, rng: np.random.Generator, hazard: bool) -> Cast:

@@ -166,6 +166,25 @@ def test_only_others_see_the_hidden_vehicle_while_the_ego_can_still_stop():
     assert np.median(told) > 2.5
 
 
+def knowing(seed: int, viewers: slice) -> str:
+    """How a hazard ends for the expert if it knows of those alone whom these connected vehicles see now."""
+    simulation, expert = started(seed, hazard=True, scenario=NAME), MergeExpert()
+    actions = np.zeros(len(simulation.agents), np.int64)
+    while (outcome := simulation.outcome()) is None:
+        seen = simulation.fleet.visible[viewers].any(axis=0)
+        known = simulation.world._replace(driver=np.where(seen, simulation.world.driver, OFF))
+        actions[0] = expert.act(Truth(known, simulation.map.routes, EGO))
+        simulation.step(actions)
+    return outcome
+
+
+def test_the_same_rules_crash_on_what_the_ego_sees_and_arrive_on_what_the_connected_see():
+    alone = Counter(knowing(seed, slice(0, 1)) for seed in SEEDS[:40])
+    together = Counter(knowing(seed, slice(None)) for seed in SEEDS[:40])
+    assert alone["collision"] > 20
+    assert together["success"] >= 38
+
+
 def near(tracked: Any, position: Any) -> bool:
     return bool((np.hypot(*(tracked[:, :2] - position).T) < 1.5).any())
 

@@ -12,14 +12,14 @@ import pytest
 from scenes import Steady, started
 
 import cad_env.scenarios
-from cad_env.env import CADEnv
-from cad_env.planner import Expert, Truth
-from cad_env.rollout import rollout, rollouts
+from cad_env.envs.single import CADEnv
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.rules.expert import Expert
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Scene, place
+from cad_env.scoring.rollout import rollout, rollouts
 from cad_env.types import BRAKE, GO, TRUCK, Image
-from cad_env.vector import CADVectorEnv
-from cad_env.world.state import OFF, STANDING, World
+from cad_env.world.state import OFF, STANDING, Truth, World
 from cad_env.world.step import advance, note_contacts
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "highway_merge"))

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cad_env.config import check_range
-from cad_env.live import Truths
-from cad_env.planner import CROSSING, SLOWEST, Truth, stopping_distance
+from cad_env.rules.planner import CROSSING, SLOWEST, stopping_distance
+from cad_env.simulation.scene_step import Truths
 from cad_env.types import BRAKE, GO, STEP, Bools, Floats, Ints
 from cad_env.world.drivers import COMMANDED_BRAKING, idm_acceleration
-from cad_env.world.state import OFF, Routes, World
+from cad_env.world.state import OFF, Routes, Truth, World
 from cad_highway_merge.road import ENTER, GOAL, LANE, ROUTES
 
 RAMP_ROUTE = ROUTES.index("ramp")

@@ -6,7 +6,7 @@ from itertools import pairwise
 from highway_env.road.lane import CircularLane, LineType, StraightLane
 from highway_env.road.road import RoadNetwork
 
-from cad_env.roads import RoutePlan
+from cad_env.scenarios.routes import RoutePlan
 from cad_env.types import Command
 
 MERGE = Command.CHANGE_LEFT  # until a scenario can bring commands of its own

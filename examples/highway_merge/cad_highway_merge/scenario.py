@@ -6,7 +6,7 @@ import numpy as np
 
 from cad_env.scenarios.ranges import Range, Ranges, check_road, count, span
 from cad_env.scenarios.scenario import Groups, Map, Scenario
-from cad_env.scenarios.scene import EGO, HIDDEN, Cast, Placement
+from cad_env.scenarios.scene import EGO, HIDDEN, Actors, Placement
 from cad_env.scenarios.vehicles import car_body, queue, stream, time_to
 from cad_env.types import CAR, TRUCK
 from cad_env.world.state import OFF, SCRIPTED, STANDING
@@ -38,7 +38,7 @@ class HighwayMergeRanges(Ranges):
         check_road(self, self.ego_start[1] + MEET - ENTER, SLOW_START, -WEST - FOLLOWERS)
 
 
-def cast(road: Map, ranges: HighwayMergeRanges, rng: np.random.Generator, hazard: bool) -> Cast:
+def cast(road: Map, ranges: HighwayMergeRanges, rng: np.random.Generator, hazard: bool) -> Actors:
     """The ego, the first lorry, the vehicle in the right lane, two in the left one that see it, the other lorries."""
     target = rng.uniform(*ranges.ego_speed)
     start = ENTER - rng.uniform(*ranges.ego_start)
@@ -46,7 +46,7 @@ def cast(road: Map, ranges: HighwayMergeRanges, rng: np.random.Generator, hazard
     first, *rest = _row(road, ranges, rng)
     hidden, beside, timing = _hidden(road, ranges, rng, hazard, ego)
     near, ahead = _witnesses(road, rng, beside, hidden.target_speed)
-    return Cast((ego, first, hidden, near, ahead, *rest), (3, 4), GOAL, timing)
+    return Actors((ego, first, hidden, near, ahead, *rest), (3, 4), GOAL, timing)
 
 
 def _row(road: Map, ranges: HighwayMergeRanges, rng: np.random.Generator) -> list[Placement]:
@@ -89,7 +89,7 @@ def _witnesses(road: Map, rng: np.random.Generator, beside: float, speed: float)
     return one, other
 
 
-def background(road: Map, cast: Cast, rng: np.random.Generator) -> Groups:
+def background(road: Map, cast: Actors, rng: np.random.Generator) -> Groups:
     """Who drives in the left lane behind and ahead, who has passed in the right one, who waits at the ramp's meter."""
     ego, hidden, near, ahead = (cast.vehicles[row] for row in (EGO, HIDDEN, 3, 4))
     left, pace = road.route("left"), hidden.target_speed
@@ -108,6 +108,6 @@ HIGHWAY_MERGE = Scenario(
     ranges=HighwayMergeRanges,
     network=highway_network,
     plans=PLANS,
-    cast=cast,
+    actors=cast,
     background=background,
 )

@@ -54,7 +54,7 @@ def test_each_learned_method_drives_its_own_model(models: Path) -> None:
 
 
 def test_a_missing_model_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=f"no trained model for stgraph-own.*{tmp_path / 'own'}"):
+    with pytest.raises(ValueError, match=f"no trained model for stgraph-own.*{tmp_path / 'stgraph-own'}"):
         method_named("stgraph-own").make_policy(tmp_path)
 
 

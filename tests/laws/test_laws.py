@@ -59,7 +59,7 @@ def test_law_1_no_radio_is_as_if_no_other_vehicle_were_connected(where: dict, se
     fleet = new_fleet(alone, len(simulation.world.speed), 1, link_of(radio_config("none")))
     batch_state = BatchState(1)
     batch_state.put(
-        0, simulation._scene_state._replace(fleet=fleet, told=batch_state.told_at(0))
+        0, simulation._scene_state._replace(fleet=fleet, step_info=batch_state.step_info_at(0))
     )  # the same world, another fleet
     for _ in steps(simulation, action=lambda agent: BRAKE if agent == 0 and seed % 2 else GO):
         play(batch_state.records, alone, alone, False)

@@ -50,7 +50,7 @@ def test_every_seed_is_scored_by_itself_and_the_rules_once(tmp_path: Path, capsy
 
 
 def test_folders_of_the_same_name_are_refused() -> None:
-    with pytest.raises(ValueError, match="policy folders must have different names, got a/x b/x"):
+    with pytest.raises(ValueError, match="models folders must have different names, got a/x b/x"):
         Settings(models=(Path("a/x"), Path("b/x")))
 
 

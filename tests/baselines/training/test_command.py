@@ -100,7 +100,7 @@ def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.C
 def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learned_over(tmp_path: Path) -> None:
     usual, other = (
         train.TrainSettings(out=tmp_path, **rows).scoring()
-        for rows in ({}, {"row": ("compressed", "gat", "raw-points")})
+        for rows in ({}, {"method": ("compressed", "gat", "raw-points")})
     )
     assert [run.radio for run in usual] == ["dsrc"]
     learned = {name: run.radio for run in other for name in run.method if name not in train.RULES}

@@ -77,7 +77,7 @@ def claim(plan: Any) -> None:
     """Note in the folder what it is for; ValueError if it holds a run of another preset or version of the scenes."""
     from baselines.evaluation.store import difference
     from cad_env.files import replace_file
-    from cad_env.numerics.jit import version
+    from cad_env.version import version
 
     wanted = json.loads(json.dumps({**asdict(plan.preset), "version of cad_env": version()}))
     path = plan.out / NOTE

@@ -94,7 +94,7 @@ class TrainSettings:
 
         Other episodes, rows or another version of the scenes score anew.
         """
-        from cad_env.numerics.jit import version
+        from cad_env.version import version
 
         found = []
         for radio, rows in self._rows_by_radio().items():

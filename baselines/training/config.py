@@ -65,7 +65,7 @@ def course_of(row: LearnedMethod, seed: int, budget: Budget, knobs: Mapping[str,
 
 def claim(folder: Path, course: "Course") -> None:
     """Note in the folder of a row what it is trained with; ValueError if that is not what it was begun with."""
-    from cad_env.numerics.jit import version
+    from cad_env.version import version
 
     path = folder / COURSE
     wanted = json.loads(json.dumps({**asdict(course), "version of cad_env": version()}))

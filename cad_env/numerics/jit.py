@@ -70,11 +70,6 @@ def announce_compilation(function: str) -> None:
         print("cad_env: compiling the simulation for this machine, about half a minute, once", file=sys.stderr)
 
 
-def version() -> str:
-    """Twelve letters that change with any edit of the scenes and of what runs in them: results are marked with it."""
-    return cache_folder().name[:12]
-
-
 def _package(function: Callable[..., Any]) -> Path:
     """The folder of the top-level package, or of the single module, that a function is from."""
     source = sys.modules[function.__module__.partition(".")[0]].__file__

@@ -19,7 +19,7 @@ import numpy as np
 
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.numerics.jit import version
+from cad_env.version import version
 from cad_env.rules.expert import Expert
 from cad_env.scoring.rollout import BatchPolicy
 from cad_env.simulation.scene_step import UNDER_WAY

@@ -14,18 +14,56 @@ runs this once for every connected vehicle. No learning here, and no torch: netw
 >>> observation, info = env.reset(seed=0)
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig
-from cad_env.types import BRAKE, GO, Command
+from cad_env.types import BRAKE, GO, Command, Graph, Policy
 
 if TYPE_CHECKING:
     from cad_env.envs.parallel import CADParallelEnv
+    from cad_env.envs.rewards import StepOutcome
+    from cad_env.envs.single import CADEnv
+    from cad_env.envs.vector import CADVectorEnv
+    from cad_env.lidar.config import CloudConfig
+    from cad_env.pipeline.varint import DecodeError
+    from cad_env.scoring.rollout import Episode, rollout, rollouts
+    from cad_env.simulation.graph_exchange import GraphCodec
 
-__all__ = ["BRAKE", "GO", "RADIO_PRESETS", "Command", "RadioConfig", "SensorConfig", "parallel_env"]
+__all__ = [
+    "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
+    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "SensorConfig", "StepOutcome", "parallel_env", "rollout",
+    "rollouts",
+]  # fmt: skip
 __version__ = "0.1.0"
+
+# Public names that bring compiled code or highway-env with them: imported when they are first asked for.
+_LAZY = {
+    "CADEnv": "cad_env.envs.single",
+    "CADParallelEnv": "cad_env.envs.parallel",
+    "CADVectorEnv": "cad_env.envs.vector",
+    "CloudConfig": "cad_env.lidar.config",
+    "DecodeError": "cad_env.pipeline.varint",
+    "Episode": "cad_env.scoring.rollout",
+    "GraphCodec": "cad_env.simulation.graph_exchange",
+    "StepOutcome": "cad_env.envs.rewards",
+    "rollout": "cad_env.scoring.rollout",
+    "rollouts": "cad_env.scoring.rollout",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_LAZY[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY})
+
 
 # Ids by name, not by import, so that `import cad_env` stays instant.
 _IDS = {

@@ -19,9 +19,9 @@ from baselines.evaluation.store import NOTES, Store, key_of
 from baselines.methods import MODEL_FILES, method_named
 from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.version import version
 from cad_env.scoring.rollout import BatchPolicy, Episode, rollouts
 from cad_env.scoring.scorecard import Record, Scorecard, scorecards
+from cad_env.version import version
 
 ABREAST = 16  # episodes side by side, for a policy that decides in batches
 

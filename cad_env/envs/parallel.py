@@ -13,6 +13,7 @@ from pettingzoo import ParallelEnv
 from cad_env.envs.global_state import global_state, global_state_space
 from cad_env.envs.goals import goals
 from cad_env.envs.highway_vehicles import WorldRoad
+from cad_env.envs.rewards import StepOutcome, reward_named
 from cad_env.envs.single import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
 from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
@@ -21,7 +22,7 @@ from cad_env.rendering.viewer import SceneViewer
 from cad_env.scenarios import SCENARIOS
 from cad_env.simulation.scene_step import MAX_STEPS
 from cad_env.simulation.setup import setup_from
-from cad_env.simulation.simulation import FINAL_REWARD, Simulation, outcome_of
+from cad_env.simulation.simulation import Simulation, outcome_of
 from cad_env.types import COLLISION, GO, SUCCESS, TIMEOUT, Floats, Ints, Observation
 from cad_env.world.state import Truth
 
@@ -54,6 +55,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
 
     def __init__(self, render_mode: str | None = None, max_cycles: int = MAX_STEPS, **options: Any) -> None:
         check_render_mode(render_mode)
+        self._reward = reward_named(options.pop("reward", "progress"))
         self.layers = checked_layers(options.pop("layers", tuple(LAYERS)))
         if isinstance(max_cycles, bool) or not isinstance(max_cycles, int) or max_cycles < 1:
             raise ValueError(f"max_cycles must be a whole number of decisions from 1, got {max_cycles!r}")
@@ -110,9 +112,10 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         infos, of all that were there; whoever is done leaves. Actions of those who have left already are ignored."""
         if not self.agents:
             raise RuntimeError("no agent is left: call reset() before step()")
-        self.simulation.step(self._chosen(actions))
+        chosen = self._chosen(actions)
+        self.simulation.step(chosen)
         there, outcomes = self.agents, self._outcomes()
-        rewards, infos, observations = self._rewards(outcomes), self._infos(outcomes), self._observations()
+        rewards, infos, observations = self._rewards(outcomes, chosen), self._infos(outcomes), self._observations()
         ended = [outcomes[self._number[agent]] for agent in there]
         terminations = {agent: end is not None and end != TIMEOUT for agent, end in zip(there, ended, strict=True)}
         truncations = {agent: end == TIMEOUT for agent, end in zip(there, ended, strict=True)}
@@ -148,13 +151,24 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         every = self.simulation.observations()
         return {agent: every[self._number[agent]] for agent in self.agents}
 
-    def _rewards(self, outcomes: list[str | None]) -> dict[str, float]:
-        """As in CADEnv: the share of one's own way, none for who waits, +1 on arrival, -1 on a collision."""
-        progress: Floats = self.simulation.world.progress[self.simulation.agents]
-        share = ((progress - self._progress) / self._way).tolist()
-        self._progress = progress
-        number = self._number
-        return {a: share[number[a]] + FINAL_REWARD.get(outcomes[number[a]], 0.0) for a in self.agents}
+    def _rewards(self, outcomes: list[str | None], chosen: Ints) -> dict[str, float]:
+        """Of every agent by the environment's reward; who can only wait makes no progress."""
+        simulation = self.simulation
+        rows, report = simulation.agents, simulation.fleet.report
+        place: Floats = simulation.world.progress[rows]
+        travelled = place - self._progress
+        share = travelled / self._way
+        self._progress = place
+        earned = {}
+        for agent in self.agents:
+            k = self._number[agent]
+            step = StepOutcome(
+                action=int(chosen[k]), travelled=float(travelled[k]), progress=float(share[k]),
+                speed=float(simulation.world.speed[rows[k]]), time=simulation.time, outcome=outcomes[k],
+                hazard=simulation.scene.hazard, bytes_sent=int(report.sent_bytes[k]),
+            )  # fmt: skip
+            earned[agent] = float(self._reward(step))
+        return earned
 
     def _infos(self, outcomes: list[str | None]) -> Infos:
         simulation, air = self.simulation, self.simulation.fleet.report

@@ -11,6 +11,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from cad_env.config import check_names
 from cad_env.envs.highway_vehicles import WorldRoad
+from cad_env.envs.rewards import ego_step, progress, reward_named
 from cad_env.lidar.config import space_with
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
@@ -22,7 +23,7 @@ from cad_env.types import BRAKE, COLLISION, GO, SUCCESS, TIMEOUT, Floats, Observ
 from cad_env.world.state import Truth
 
 RENDER_MODES = ("human", "rgb_array")
-_SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud")
+_SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "share", "codec")
 
 
 class CADEnv(AbstractEnv):
@@ -32,8 +33,9 @@ class CADEnv(AbstractEnv):
     dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud` (CloudConfig or dict:
     points are shared, not graphs), `traffic` (none, light or dense), `penetration` (share of the vehicles that is
     connected, None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists` (True adds to info
-    what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's view). The reward of a
-    step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
+    what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's view), `share` and
+    `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step, cad_env.envs.rewards). By default the
+    reward of a step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})
@@ -46,7 +48,7 @@ class CADEnv(AbstractEnv):
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
-        check_names("option", options, [*_SETUP, "object_lists", "layers", "config", "render_mode"])
+        check_names("option", options, [*_SETUP, "object_lists", "reward", "layers", "config", "render_mode"])
         self.viewer: SceneViewer | None = None
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
 
@@ -62,6 +64,7 @@ class CADEnv(AbstractEnv):
             **screen(scenario_named("left_turn").map),
             "scenario": "left_turn",
             "layers": tuple(LAYERS),  # what pictures show over highway-env's view
+            "reward": "progress",  # of a step: a name or a function (cad_env.envs.rewards)
             "object_lists": False,  # True: info holds what each connected vehicle tracks by itself
         }
 
@@ -73,6 +76,7 @@ class CADEnv(AbstractEnv):
         for name in ("observation", "action", "simulation_frequency", "policy_frequency"):
             if given.get(name, default[name]) != default[name]:
                 raise ValueError(f"{name} is {default[name]!r} in this environment, got {given[name]!r}")
+        reward_named(given.get("reward", default["reward"]))
         if "layers" in given:
             given["layers"] = checked_layers(given["layers"])
         if "scenario" in given:
@@ -117,6 +121,7 @@ class CADEnv(AbstractEnv):
             raise RuntimeError("the episode is over: call reset() before step()")
         simulation = self.simulation
         self._actions[0] = checked_action(action)
+        self._before = float(simulation.world.progress[0])
         simulation.step(self._actions)
         self.time, self.steps = simulation.time, simulation.steps
         outcome = simulation.outcome()
@@ -129,7 +134,10 @@ class CADEnv(AbstractEnv):
         )  # fmt: skip
 
     def _reward(self, action: int) -> float:
-        return self.simulation.reward()
+        reward = reward_named(self.config["reward"])
+        if reward is progress:  # which the compiled step has computed already
+            return self.simulation.reward()
+        return float(reward(ego_step(self.simulation, int(self._actions[0]), self._before)))
 
     def _info(self, *_: Any) -> dict[str, Any]:
         info = self.simulation.info()

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cad_env.config import check_names
+from cad_env.envs.rewards import Reward, ego_step, progress, reward_named
 from cad_env.envs.single import checked_hazard
 from cad_env.lidar.config import space_with
 from cad_env.simulation.batch import SceneBatch, masked
@@ -43,11 +44,13 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         copy: bool = True,
         scenario: str | Sequence[str] = "left_turn",
         object_lists: bool = False,
+        reward: str | Reward = "progress",
         **options: Any,
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs must be a whole number from 1 on, got {num_envs!r}")
         self.num_envs, self.copy, self._object_lists = num_envs, copy, object_lists
+        self._reward = reward_named(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         names = [scenario] if isinstance(scenario, str) else list(scenario)
@@ -92,15 +95,34 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         if self.autoreset_mode == AutoresetMode.DISABLED and over.any():
             raise RuntimeError(f"the episodes of the scenes {np.flatnonzero(over).tolist()} are over: reset them first")
         going = np.flatnonzero(~over)
+        before = self._progress(going)
         self.batch.step(going, chosen[going])
+        earned = self._earned(going, chosen, before)
         for place in np.flatnonzero(over).tolist():
             self._start(place)
         rewards, outcomes = self.batch.rewards.copy(), self.batch.outcomes
+        if earned is not None:
+            rewards = earned
         truncations = outcomes == TIMED_OUT
         terminations = (outcomes != UNDER_WAY) & ~truncations
         self._over = terminations | truncations
         final = self._begun_anew() if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any() else {}
         return self._observations(), rewards, terminations, truncations, {**final, **self._infos(self._everywhere)}
+
+    def _progress(self, going: Ints) -> list[float]:
+        """m along their routes, of the egos of some scenes; nothing where no reward of its own asks for it."""
+        if self._reward is progress:
+            return []
+        return [float(self.batch.simulations[place].world.progress[0]) for place in going.tolist()]
+
+    def _earned(self, going: Ints, chosen: Ints, before: list[float]) -> Floats | None:
+        """(num_envs,) by a reward of its own; None by the usual one, which the compiled step has computed already."""
+        if self._reward is progress:
+            return None
+        earned = np.zeros(self.num_envs)
+        for place, start in zip(going.tolist(), before, strict=True):
+            earned[place] = self._reward(ego_step(self.batch.simulations[place], int(chosen[place]), start))
+        return earned
 
     def _begun_anew(self) -> dict[str, Any]:
         """Start the scenes that are over; what there was to see and to say at their end."""

@@ -26,7 +26,7 @@ The CRC finds corruption. It is no authentication: anyone can write a message th
 import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part
-from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays
+from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays, graph_arrays
 from cad_env.pipeline.varint import (
     REACH,
     TRUNCATED,
@@ -196,16 +196,9 @@ def encode(graph: Graph, depth: int = FRAMES) -> bytes:
     >>> len(encode(graph)), len(encode(graph, depth=1)), decode(encode(graph)).time
     (50, 22, 1.5)
     """
-    _check_graph(graph, depth)
+    check_graph(graph, depth)
     buffer = np.empty(max_bytes(len(graph.track)), np.uint8)
-    rows = GraphArrays(
-        np.array([len(graph.track)], np.int64),
-        np.ascontiguousarray(graph.track, np.int64),
-        np.ascontiguousarray(graph.position, np.float64),
-        np.ascontiguousarray(graph.mask, np.bool_),
-        np.ascontiguousarray(graph.kind, np.int8),
-    )
-    length = write(buffer, graph.sender, round(graph.time * 1000.0), depth, rows)
+    length = write(buffer, graph.sender, round(graph.time * 1000.0), depth, graph_arrays(graph))
     return buffer[:length].tobytes()
 
 
@@ -223,7 +216,8 @@ def decode(payload: bytes) -> Graph:
     return as_graph(rows, int(header[0]), int(header[1]) / 1000.0)
 
 
-def _check_graph(graph: Graph, depth: int) -> None:
+def check_graph(graph: Graph, depth: int = FRAMES) -> None:
+    """Refuse a graph that cannot be sent with a one-line ValueError."""
     tracks = len(graph.track)
     _check("depth", depth, 1, FRAMES)
     _check("sender", graph.sender, 0, MAX_SENDER)

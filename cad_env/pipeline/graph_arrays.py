@@ -55,6 +55,17 @@ def row_of(rows: GraphArrays, track: int) -> int:
     return int(i)
 
 
+def graph_arrays(graph: Graph) -> GraphArrays:
+    """A graph as the compiled stages see it."""
+    return GraphArrays(
+        np.array([len(graph.track)], np.int64),
+        np.ascontiguousarray(graph.track, np.int64),
+        np.ascontiguousarray(graph.position, np.float64),
+        np.ascontiguousarray(graph.mask, np.bool_),
+        np.ascontiguousarray(graph.kind, np.int8),
+    )
+
+
 def as_graph(rows: GraphArrays, sender: int, time: float) -> Graph:
     """The rows in use as the noun that leaves this package."""
     n = int(rows.used[0])

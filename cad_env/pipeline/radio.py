@@ -30,6 +30,7 @@ from cad_env.types import STEP, Bools, Bytes, Floats, Ints, Message
 
 # What `send` answers.
 ACCEPTED, NO_BUDGET, OVER_BUDGET, TOO_LONG, SECOND_MESSAGE = 0, 1, 2, 3, 4
+SILENT = -1  # its sender chose to send nothing
 REASONS = (
     "accepted",
     "this radio has no budget",

@@ -79,6 +79,12 @@ def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link,
     for v in range(fleet.rows.shape[0]):
         broadcast(world, fleet, v, link, depth, step)
     deliver(fleet, link, keys[RADIO], step)
+    merge_all(world, routes, fleet)
+
+
+@inlined_part
+def merge_all(world: World, routes: Routes, fleet: Fleet) -> None:
+    """Merge and observe for every receiver."""
     for r in range(fleet.merged.used.shape[0]):
         fuse(fleet, r)
         show(world, routes, fleet, r)

@@ -50,6 +50,8 @@ class SceneBatch:
         if self.batch_state.clouds is not None:
             every = [self.simulations[place].sharing for place in which.tolist()]
             exchange([sharing for sharing in every if sharing is not None], self.batch_state.rooms)
+        for place in which.tolist():
+            self.simulations[place].exchange_graphs()
 
     def observation(self, place: int) -> Observation:
         """A copy of what the ego of one scene decides on."""

@@ -15,9 +15,9 @@ from cad_env.lidar.config import CloudConfig, CloudView, empty_cloud_view
 from cad_env.numerics.jit import compiled, inlined, inlined_part
 from cad_env.numerics.record_array import new_record_array, put, take
 from cad_env.pipeline.observe import View, empty_view
-from cad_env.pipeline.radio import ACCEPTED, Link, link_of
+from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
-from cad_env.pipeline.step import Fleet, Report, new_fleet, run
+from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
 from cad_env.types import COLLISION, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, World, empty_routes, empty_world
 from cad_env.world.step import advance
@@ -144,6 +144,14 @@ def play(records: Any, which: Ints, actions: Ints, moves: bool) -> None:
 
 
 @compiled
+def play_exchanged(records: Any, place: int) -> None:
+    """Merge, observe and write down anew in one scene: messages were exchanged since `play`."""
+    scene = scene_at(records, place)
+    merge_all(scene.world, scene.routes, scene.fleet)
+    write_radio_info(scene.step_info, scene.fleet.report)
+
+
+@compiled
 def verdict(struck: bool, arrived: bool, over: bool) -> int:
     """How it ended for a vehicle: struck or not, at its goal or not, its time up or not."""
     if struck:
@@ -173,7 +181,7 @@ def write_radio_info(step_info: StepInfo, air: Report) -> None:
         step_info.bytes_sent[0] += air.sent_bytes[v]
         step_info.largest_message[0] = max(step_info.largest_message[0], air.sent_bytes[v])
         step_info.messages_sent[0] += air.refusal[v] == ACCEPTED
-        if step_info.refused[0] == ACCEPTED:
+        if step_info.refused[0] == ACCEPTED and air.refusal[v] != SILENT:
             step_info.refused[0] = air.refusal[v]
     step_info.bytes_received[0], step_info.messages_lost[0] = air.received_bytes[0], air.lost[0]
 

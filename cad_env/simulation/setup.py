@@ -8,6 +8,7 @@ from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, 
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
+from cad_env.simulation.graph_exchange import GraphCodec, Share
 from cad_env.types import FRAMES
 
 
@@ -23,6 +24,8 @@ class Setup:
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
     cloud: CloudConfig | None = None  # given: points are shared instead of graphs
+    share: Share | None = None  # what a vehicle sends of its graph (None from it: nothing); None: all of it
+    codec: GraphCodec | None = None  # how a graph becomes bytes; None: the project's own message format
 
     def __post_init__(self) -> None:
         check_range("depth", self.depth, 1, FRAMES)
@@ -30,8 +33,19 @@ class Setup:
             raise ValueError(f"depth must be a whole number, got {self.depth!r}")
         if self.cloud is not None:
             check_range("sensor range with clouds", self.sensor.range, 1.0, MAX_RANGE)
+        if self.share is not None and not callable(self.share):
+            raise ValueError(f"share must be None or a function from a Graph to a Graph or None, got {self.share!r}")
+        if self.codec is not None and not isinstance(self.codec, GraphCodec):
+            raise ValueError(f"codec must be None or have encode and decode (GraphCodec), got {self.codec!r}")
+        if self.cloud is not None and self.exchanges_graphs:
+            raise ValueError("share and codec are for graphs: leave them out where points are shared (cloud)")
         Traffic(self.traffic, self.penetration)
         scenario_named(self.scenario).configured(dict(self.ranges))
+
+    @property
+    def exchanges_graphs(self) -> bool:
+        """Whether graphs are sent by rules from outside, and not by the compiled path."""
+        return self.share is not None or self.codec is not None
 
 
 def setup_from(options: Mapping[str, Any]) -> Setup:

@@ -24,7 +24,16 @@ from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
 from cad_env.simulation.cloud_exchange import Sharing, exchange
-from cad_env.simulation.scene_step import FINAL_REWARDS, OUTCOME_BY_CODE, BatchState, SceneState, play, verdict
+from cad_env.simulation.graph_exchange import GraphExchange
+from cad_env.simulation.scene_step import (
+    FINAL_REWARDS,
+    OUTCOME_BY_CODE,
+    BatchState,
+    SceneState,
+    play,
+    play_exchanged,
+    verdict,
+)
 from cad_env.simulation.setup import Setup
 from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
 from cad_env.world.state import Truth, World
@@ -49,6 +58,10 @@ class Simulation:
         self.sharing: Sharing | None = None
         if setup.cloud is not None and shown is not None:  # points are on the air, and graphs are not
             self.sharing, link = Sharing(setup.cloud, link, shown), link_of(radio_config("none"))
+        self.graph_exchange: GraphExchange | None = None
+        if setup.exchanges_graphs:
+            self.graph_exchange = GraphExchange(setup.share, setup.codec, link, setup.depth)
+            link = link_of(radio_config("none"))
         self._link = link
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
@@ -72,6 +85,8 @@ class Simulation:
         self._batch_state.put(self._place, self._scene_state)
         if self.sharing is not None:
             self.sharing.start(self._scene_state, seed)
+        if self.graph_exchange is not None:
+            self.graph_exchange.start(self._scene_state)
         self._perceive()
 
     def step(self, actions: Ints) -> None:
@@ -96,6 +111,13 @@ class Simulation:
         play(self._batch_state.records, self._which, self._scene_state.actions, moves)
         if self.sharing is not None:
             exchange([self.sharing], self._batch_state.rooms)
+        self.exchange_graphs()
+
+    def exchange_graphs(self) -> None:
+        """Send and receive graphs by rules from outside, if there are any, after the compiled step."""
+        if self.graph_exchange is not None:
+            self.graph_exchange.exchange()
+            play_exchanged(self._batch_state.records, self._place)
 
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on; the ego, number 0, is the only one that is shown clouds."""
@@ -117,6 +139,11 @@ class Simulation:
     def reward(self) -> float:
         """Of the ego in the newest step: the share of its way that it covered, +1 on arrival, -1 on a collision."""
         return self._scene_state.step_info.reward.item()
+
+    @property
+    def way(self) -> float:
+        """m from the start of the ego to its goal."""
+        return self._scene_state.way
 
     def truth(self, agent: int = 0) -> Truth:
         """The world itself, for a privileged policy."""
@@ -167,6 +194,8 @@ class Simulation:
         """
         if self.sharing is not None:
             return self.sharing.arrival(sender, receiver)
+        if self.graph_exchange is not None:
+            return self.graph_exchange.arrival(sender, receiver)
         air = self.fleet.air
         end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
         return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])

@@ -19,13 +19,13 @@ import numpy as np
 
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.version import version
 from cad_env.rules.expert import Expert
 from cad_env.scoring.rollout import BatchPolicy
 from cad_env.simulation.scene_step import UNDER_WAY
 from cad_env.simulation.setup import Setup
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Bools, Ints, Observation
+from cad_env.version import version
 
 SHARD_EPISODES = 64
 KEPT_EVERY = 1.0  # s, what has ended of a shard is written

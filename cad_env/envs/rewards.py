@@ -1,0 +1,59 @@
+"""What a step is worth: a function of it, which all environments take as `reward=`.
+
+>>> def in_time(step: StepOutcome) -> float:
+...     return progress(step) - 0.01  # each decision costs a little
+>>> from cad_env.envs.single import CADEnv
+>>> env = CADEnv(reward=in_time)
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from cad_env.simulation.simulation import FINAL_REWARD, Simulation
+
+
+@dataclass(frozen=True)
+class StepOutcome:
+    """One decision of one agent and what came of it."""
+
+    action: int  # GO or BRAKE
+    travelled: float  # m along its route in this step
+    progress: float  # the same as a share of the way from its start to its goal; 0 for an agent that can only wait
+    speed: float  # m/s, now
+    time: float  # s since the start of the episode
+    outcome: str | None  # success, collision, timeout, waited, or None while the episode goes on for it
+    hazard: bool  # whether the episode holds a hazard: known to nobody who drives
+    bytes_sent: int  # by this agent in this step
+
+
+def ego_step(simulation: Simulation, action: int, before: float) -> StepOutcome:
+    """The newest step of an ego that was `before` m along its route."""
+    world, scene = simulation.world, simulation.scene
+    travelled = float(world.progress[0]) - before
+    return StepOutcome(
+        action=action, travelled=travelled, progress=travelled / simulation.way, speed=float(world.speed[0]),
+        time=simulation.time, outcome=simulation.outcome(), hazard=scene.hazard,
+        bytes_sent=int(simulation.fleet.report.sent_bytes[0]),
+    )  # fmt: skip
+
+
+Reward = Callable[[StepOutcome], float]
+
+
+def progress(step: StepOutcome) -> float:
+    """The share of the way that was covered, +1 on arrival, -1 on a collision: the default."""
+    return step.progress + FINAL_REWARD.get(step.outcome, 0.0)
+
+
+REWARDS: dict[str, Reward] = {"progress": progress}
+
+
+def reward_named(given: Any) -> Reward:
+    """A reward by its name, or a function as it is; ValueError that lists the choices for anything else."""
+    if callable(given):
+        found: Reward = given
+        return found
+    if not isinstance(given, str) or given not in REWARDS:
+        raise ValueError(f"reward must be a function of a StepOutcome or one of {', '.join(REWARDS)}, got {given!r}")
+    return REWARDS[given]

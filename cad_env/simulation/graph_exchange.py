@@ -1,0 +1,156 @@
+"""The exchange of graphs by rules from outside: who sends what (`share`), and how it becomes bytes (`codec`).
+
+It takes the place of the compiled sending and receiving, under the same budget, losses, delay and range:
+
+    own graph -> share -> encode -> radio -> decode -> kept of its sender -> merge -> observe
+
+Messages are lost exactly as those of the compiled path: the random draws are functions of the step, the sender and the
+receiver.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from cad_env.pipeline import codec as shipped
+from cad_env.pipeline.codec import check_graph
+from cad_env.pipeline.graph_arrays import as_graph, graph_arrays
+from cad_env.pipeline.merge import receive
+from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, SILENT, Link, fate_at, refusal
+from cad_env.pipeline.step import RADIO
+from cad_env.pipeline.varint import DecodeError
+from cad_env.simulation.scene_step import SceneState
+from cad_env.types import FRAMES, MAX_TRACKS, STEP, Graph, GraphArrays, Ints
+
+Share = Callable[[Graph], Graph | None]
+
+
+@runtime_checkable
+class GraphCodec(Protocol):
+    """How a graph becomes the bytes that are sent, and bytes a graph again."""
+
+    def encode(self, graph: Graph) -> bytes:
+        """The message; its length is what the budget counts."""
+
+    def decode(self, payload: bytes) -> Graph:
+        """The graph of a message, FRAMES frames wide; raises DecodeError only."""
+
+
+class GraphExchange:
+    """The graphs of one episode that are under way. Without a codec the project's own message format is used."""
+
+    def __init__(self, share: Share | None, codec: GraphCodec | None, link: Link, depth: int) -> None:
+        self.link, self.depth = link, depth
+        self._share, self._codec = share, codec
+
+    def start(self, scene: SceneState) -> None:
+        """Begin an episode: nothing is under way."""
+        self._scene = scene
+        self._sent: dict[int, tuple[np.ndarray, list[bytes | None]]] = {}  # step -> places (V, 2) m, messages
+
+    @property
+    def step(self) -> int:
+        """Decisions since the start."""
+        return int(self._scene.clock[0])
+
+    def exchange(self) -> None:
+        """Send what every vehicle wants to send, and give the receivers what arrives in this step."""
+        self._send()
+        self._receive()
+
+    def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
+        """What becomes, in this step, of a sender's message at a receiver (see `radio.fate`), and its bytes."""
+        sent_at = self.step - self.link.delay
+        places, messages = self._sent.get(sent_at, (None, []))
+        message = messages[sender] if messages and sender != receiver else None
+        if places is None or message is None:
+            return NOT_SENT, 0
+        dx, dy = (places[receiver] - places[sender]).tolist()
+        key: Ints = self._scene.keys[RADIO]
+        return int(fate_at(self.link, key, math.hypot(dx, dy), sent_at, sender, receiver, 0)), len(message)
+
+    def _send(self) -> None:
+        fleet, step = self._scene.fleet, self.step
+        messages: list[bytes | None] = []
+        for v in range(len(fleet.rows)):
+            message = self._message(v) if self.link.budget > 0.0 else b""
+            size = 0 if message is None else len(message)
+            reason = SILENT if message is None else int(refusal(self.link.budget, 0, size))
+            fleet.report.refusal[v], fleet.report.sent_bytes[v] = reason, size if reason == ACCEPTED else 0
+            messages.append(message if reason == ACCEPTED else None)
+        self._sent = {at: what for at, what in self._sent.items() if step - self.link.delay <= at < step}
+        self._sent[step] = (self._scene.world.position[fleet.rows].copy(), messages)
+
+    def _message(self, v: int) -> bytes | None:
+        graph = newest(as_graph(_of(self._scene.fleet.window, v), v, STEP * self.step), self.depth)
+        if self._share is not None:
+            chosen = self._share(graph)
+            if chosen is None:
+                return None
+            graph = self._checked(chosen, v)
+        if self._codec is None:
+            return shipped.encode(graph, self.depth)
+        message = self._codec.encode(graph)
+        if not isinstance(message, bytes):
+            raise TypeError(f"codec must encode to bytes, got {type(message).__name__}")
+        return message
+
+    def _checked(self, graph: Graph, v: int) -> Graph:
+        """What `share` has chosen, from vehicle v now; ValueError for what is not a graph that can be sent."""
+        if not isinstance(graph, Graph):
+            raise TypeError(f"share must return a Graph or None, got {type(graph).__name__}")
+        graph = newest(replace(graph, sender=v, time=STEP * self.step), self.depth)
+        if len(graph.track) > MAX_TRACKS:
+            raise ValueError(f"share must return at most {MAX_TRACKS} tracks, got {len(graph.track)}")
+        check_graph(graph)
+        return graph
+
+    def _receive(self) -> None:
+        report, step = self._scene.fleet.report, self.step
+        report.received_bytes[:], report.lost[:] = 0, 0
+        _, messages = self._sent.get(step - self.link.delay, (None, []))
+        for sender, message in enumerate(messages):
+            if message is None:
+                continue
+            reached = []
+            for receiver in range(len(report.lost)):
+                end, _ = self.arrival(sender, receiver)
+                report.lost[receiver] += end == LOST
+                if end == REACHES:
+                    reached.append(receiver)
+            arrays = self._decoded(message, sender) if reached else None
+            if arrays is None:
+                continue
+            for receiver in reached:
+                report.received_bytes[receiver] += len(message)
+                receive(_of(_of(self._scene.fleet.kept, receiver), sender), arrays, self.depth, self.link.delay)
+
+    def _decoded(self, message: bytes, sender: int) -> GraphArrays | None:
+        """The graph of a message, or None if it cannot be used: the radio knows who sent it, and when."""
+        codec = shipped if self._codec is None else self._codec
+        try:
+            graph = codec.decode(message)
+            check_graph(graph)
+        except (DecodeError, ValueError):
+            return None
+        sent_at = STEP * (self.step - self.link.delay)
+        if graph.sender != sender or abs(graph.time - sent_at) > 0.5 * STEP or len(graph.track) > MAX_TRACKS:
+            return None
+        return graph_arrays(graph)
+
+
+def newest(graph: Graph, depth: int) -> Graph:
+    """A copy with only the newest `depth` frames; tracks without a node in them are left out."""
+    mask = graph.mask.copy()
+    mask[:, : FRAMES - depth] = False
+    kept = mask.any(axis=1)
+    return replace(
+        graph, track=graph.track[kept], position=graph.position[kept], mask=mask[kept], kind=graph.kind[kept]
+    )
+
+
+def _of(stack: GraphArrays, index: int) -> GraphArrays:
+    return GraphArrays(*(part[index] for part in stack))

@@ -1,0 +1,90 @@
+"""Rewards from outside: a function of a step, the same in all environments."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from cad_env.envs.parallel import CADParallelEnv
+from cad_env.envs.rewards import StepOutcome, progress
+from cad_env.envs.single import CADEnv
+from cad_env.envs.vector import CADVectorEnv
+from cad_env.types import BRAKE, GO
+
+SEED = 3
+
+
+def everything(step: StepOutcome) -> float:
+    """A number in which all of a step shows."""
+    ended = {None: 0.0, "success": 1e3, "collision": 2e3, "timeout": 3e3, "waited": 4e3}[step.outcome]
+    return step.action + step.travelled + 10 * step.progress + step.speed + step.time + ended + 1e-3 * step.bytes_sent
+
+
+def same(step: StepOutcome) -> float:
+    """The default, as a function of its own."""
+    return progress(step)
+
+
+@pytest.mark.parametrize("radio", ["none", "dsrc"])
+def test_the_default_as_a_function_is_the_default(radio: str) -> None:
+    for make in (CADEnv, CADParallelEnv):
+        named, own = make(radio=radio), make(radio=radio, reward=same)
+        for env in (named, own):
+            env.reset(seed=SEED)
+        for k in range(60):
+            one, other = (
+                env.step(int(k % 3 == 0) if make is CADEnv else dict.fromkeys(env.agents, GO))[1] for env in (named, own)
+            )
+            assert one == pytest.approx(other, abs=1e-15)
+
+
+def test_a_step_says_what_happened() -> None:
+    steps: list[StepOutcome] = []
+
+    def watched(step: StepOutcome) -> float:
+        steps.append(step)
+        return 0.25
+
+    env = CADEnv(reward=watched, radio="dsrc")
+    _, info = env.reset(seed=SEED, options={"hazard": False})
+    while info["outcome"] is None:
+        _, reward, *_, info = env.step(GO)
+        assert reward == 0.25
+    assert steps[-1].outcome == "success"
+    assert {step.outcome for step in steps[:-1]} == {None}
+    assert sum(step.progress for step in steps) == pytest.approx(1.0, abs=0.05)
+    assert all(later.time == pytest.approx(step.time + 0.1) for step, later in pairwise(steps))
+    assert {step.action for step in steps} == {GO}
+    assert {step.hazard for step in steps} == {False}
+    assert 0 < steps[20].bytes_sent < info["bytes_sent"] + 1
+    assert steps[20].travelled == pytest.approx(0.1 * steps[20].speed, rel=0.1)
+    env.reset(seed=SEED)
+    env.step(BRAKE)
+    assert steps[-1].action == BRAKE
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_side_by_side_it_is_as_alone(mode: str) -> None:
+    envs = CADVectorEnv(2, mode, reward=everything)
+    alone = [CADEnv(reward=everything) for _ in range(2)]
+    envs.reset(seed=SEED)
+    for place, env in enumerate(alone):
+        env.reset(seed=SEED + place)
+    going = [True, True]
+    for k in range(120):
+        action = int(k % 7 == 0)
+        rewards = envs.step(np.full(2, action))[1]
+        for place, env in enumerate(alone):
+            if going[place]:
+                _, reward, terminated, truncated, _ = env.step(action)
+                assert rewards[place] == reward
+                going[place] = not (terminated or truncated)
+    assert not any(going)
+
+
+def test_a_wrong_reward_is_refused() -> None:
+    for make in (CADEnv, CADParallelEnv, CADVectorEnv):
+        with pytest.raises(
+            ValueError, match="reward must be a function of a StepOutcome or one of progress, got 'fast'"
+        ):
+            make(reward="fast")

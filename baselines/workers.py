@@ -4,8 +4,9 @@ import multiprocessing
 import os
 import queue
 import signal
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -25,7 +26,7 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
     context = multiprocessing.get_context("spawn")
     lifeline, held = context.Pipe(duplex=False)
     progress: Queue[Any] = context.Queue()
-    pool = ProcessPoolExecutor(count, context, _start, (lifeline, progress))
+    pool = ProcessPoolExecutor(count, context, _start, (lifeline, progress, registered_scenarios()))
     try:
         with _interrupts_held():
             for _ in range(count):
@@ -38,6 +39,24 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
         pool.shutdown(cancel_futures=True)
         held.close()
         lifeline.close()
+
+
+def registered_scenarios() -> tuple[Any, ...]:
+    """The scenarios from outside that are registered here: a task in another process may need them."""
+    if "cad_env.scenarios" not in sys.modules:  # nothing has been registered, and importing it takes a second
+        return ()
+    from cad_env.scenarios import registered
+
+    return registered()
+
+
+def register_scenarios(scenarios: Sequence[Any]) -> None:
+    """The counterpart, in that process."""
+    if scenarios:
+        from cad_env.scenarios import register
+
+        for scenario in scenarios:
+            register(scenario)
 
 
 def prefer_one_thread() -> None:
@@ -78,12 +97,13 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start(lifeline: Connection, progress: "Queue[Any]") -> None:
+def _start(lifeline: Connection, progress: "Queue[Any]", scenarios: "Sequence[Any]") -> None:
     global _told
     _told = progress
     # What nobody reads any more must not keep a worker from ending: its pipe is full after some hundred records. A
     # task returns all that counts; what it tells is for those who cannot wait for that.
     progress.cancel_join_thread()
+    register_scenarios(scenarios)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 

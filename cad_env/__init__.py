@@ -29,12 +29,13 @@ if TYPE_CHECKING:
     from cad_env.envs.vector import CADVectorEnv
     from cad_env.lidar.config import CloudConfig
     from cad_env.pipeline.varint import DecodeError
+    from cad_env.scenarios import register
     from cad_env.scoring.rollout import Episode, rollout, rollouts
     from cad_env.simulation.graph_exchange import GraphCodec
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
-    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "SensorConfig", "StepOutcome", "parallel_env", "rollout",
+    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "SensorConfig", "StepOutcome", "parallel_env", "register", "rollout",
     "rollouts",
 ]  # fmt: skip
 __version__ = "0.1.0"
@@ -50,6 +51,7 @@ _LAZY = {
     "GraphCodec": "cad_env.simulation.graph_exchange",
     "StepOutcome": "cad_env.envs.rewards",
     "rollout": "cad_env.scoring.rollout",
+    "register": "cad_env.scenarios",
     "rollouts": "cad_env.scoring.rollout",
 }
 
@@ -71,13 +73,13 @@ _IDS = {
     "CADOvertaking-v0": "overtaking",
     "CADStreetCrossing-v0": "street_crossing",
 }
-for _id, _scenario in _IDS.items():
+for _id, _scenario in [*_IDS.items(), ("CADScenario-v0", None)]:
     if _id not in gym.registry:
         gym.register(
             _id,
             entry_point="cad_env.envs.single:CADEnv",
             vector_entry_point="cad_env.envs.vector:CADVectorEnv",
-            kwargs={"scenario": _scenario},
+            kwargs={} if _scenario is None else {"scenario": _scenario},  # CADScenario-v0 is told which one
         )
 
 

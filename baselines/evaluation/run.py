@@ -13,12 +13,13 @@ from typing import Any
 from tqdm import tqdm
 
 from baselines.evaluation.grid import Task
+from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.evaluation.store import NOTES, Store, key_of
-from baselines.methods import MODEL_FILES, method_named
 from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.scenarios import scenario_named, source_of
 from cad_env.scoring.rollout import BatchPolicy, Episode, rollouts
 from cad_env.scoring.scorecard import Record, Scorecard, scorecards
 from cad_env.version import version
@@ -36,7 +37,7 @@ def opened(settings: Settings) -> Store:
     prefer_one_thread()
     for scenario in settings.scenarios():
         for name in settings.method:
-            settings.policy(scenario, method_named(name))
+            job_of(settings, scenario, name)
     return Store(settings.folder(), identity(settings))
 
 
@@ -76,13 +77,14 @@ def identity(settings: Settings) -> dict[str, Any]:
         "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
         "collaborators", "depth", "threshold",
     )  # fmt: skip
-    models = {name: method_named(name).model for name in settings.method}
+    digests = {name: digest_of_method(settings, name) for name in settings.method}
     return {
         "scenario": list(settings.scenarios()),
         "method": list(settings.method),
         **{name: getattr(settings, name) for name in names},
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
-        **{f"model of {name}": _digest(settings, model) for name, model in models.items() if model},
+        **{f"model of {name}": digest for name, digest in digests.items() if digest is not None},
+        **{f"source of {name}": digest for name, digest in _outside_scenarios(settings).items()},
         "version of cad_env": version(),
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
@@ -95,10 +97,14 @@ def digest_of(settings: Settings) -> str:
     return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
 
 
-def _digest(settings: Settings, model: str) -> str:
-    folders: dict[Path, None] = dict.fromkeys(settings.models_of(scenario) / model for scenario in settings.scenarios())
-    data = b"".join((folder / name).read_bytes() for folder in folders for name in MODEL_FILES)
-    return hashlib.sha256(data).hexdigest()[:16]
+def _outside_scenarios(settings: Settings) -> dict[str, str]:
+    """Digests of the files that draw the scenarios from outside."""
+    found = {name: source_of(scenario_named(name)) for name in settings.scenarios()}
+    return {
+        name: hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16]
+        for name, path in found.items()
+        if path is not None
+    }
 
 
 def _missing(settings: Settings, store: Store) -> list[Task]:
@@ -111,11 +117,10 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
 
 def drive(settings: Settings, task: Task) -> Iterator[Record]:
     """The records of one method on some seeds of one scenario, as the episodes end."""
-    method = method_named(task.method)
-    policy = settings.policy(task.scenario, method)
-    abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
-    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, method))
-    return map(_record, rollouts(envs, policy, task.seeds, task.method, HAZARDS[settings.hazard]))
+    job = job_of(settings, task.scenario, task.method)
+    side_by_side = min(ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
+    envs = CADVectorEnv(side_by_side, **job.options)
+    return map(_record, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
 
 
 def _record(episode: Episode) -> Record:

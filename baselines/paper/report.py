@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.learned import radio_of
+from baselines.methods import radio_of
 from baselines.paper import published, tables
 from baselines.paper.acceptance import Bar, bar_table, bars
 from baselines.paper.claims import Order, orders

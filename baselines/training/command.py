@@ -10,7 +10,7 @@ from typing import Any
 from baselines.cli import BAR, parsed, refused, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import Settings
-from baselines.learned import learned_named, radio_of
+from baselines.methods import learned_named, radio_of
 from baselines.training.config import Budget, Lesson, claim, course_of, learn
 from cad_env.config import check_range, radio_config
 
@@ -28,7 +28,7 @@ class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
     scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
-    method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/learned.py)
+    method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/methods.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
     episodes: int = 1500  # of each scenario, driven by the expert
@@ -64,9 +64,9 @@ class TrainSettings:
 
     def scenarios(self) -> tuple[str, ...]:
         """What the networks learn, in the same order however it was asked for; ValueError for what does not exist."""
-        from cad_env.scenarios import SCENARIOS, scenario_named
+        from cad_env.scenarios import SCENARIOS, SHIPPED, scenario_named
 
-        chosen = [scenario_named(name).name for name in (SCENARIOS if self.scenario == ALL else self.scenario)]
+        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ALL else self.scenario)]
         return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
     def budget(self) -> Budget:

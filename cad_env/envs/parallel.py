@@ -68,8 +68,9 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         self.render_mode = render_mode
         self.max_cycles = max_cycles
         most = self.simulation.scenario.most_connected(self.simulation.ranges, self.simulation.traffic)
+        commands = self.simulation.scenario.command_count
         self.possible_agents = [f"cav_{k}" for k in range(most)]
-        self.observation_spaces = {agent: observation_space() for agent in self.possible_agents}
+        self.observation_spaces = {agent: observation_space(commands) for agent in self.possible_agents}
         self.action_spaces = {agent: spaces.Discrete(2) for agent in self.possible_agents}
         self.state_space = global_state_space()
         self.agents: list[str] = []
@@ -229,6 +230,9 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
 def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> CADParallelEnv:
     """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
     ids = {scenario.gym_id: scenario.name for scenario in SCENARIOS.values()}
+    env_id = env_id.removeprefix("cad_env:")
+    if env_id == "CADScenario-v0":
+        return CADParallelEnv(render_mode=render_mode, **options)
     if env_id not in ids:
-        raise ValueError(f"unknown environment {env_id!r}: choose among {', '.join(ids)}")
+        raise ValueError(f"unknown environment {env_id!r}: choose among {', '.join(ids)}, CADScenario-v0")
     return CADParallelEnv(render_mode=render_mode, scenario=ids[env_id], **options)

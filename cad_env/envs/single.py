@@ -80,7 +80,8 @@ class CADEnv(AbstractEnv):
         if "layers" in given:
             given["layers"] = checked_layers(given["layers"])
         if "scenario" in given:
-            given = {**screen(scenario_named(given["scenario"]).map), **given}
+            scenario = scenario_named(given["scenario"])
+            given = {**screen(scenario.map), **given, "scenario": scenario.name}
         setup = setup_from({k: v for k, v in {**self.config, **given}.items() if k in _SETUP})
         if hasattr(self, "simulation") and self.simulation.setup.cloud != setup.cloud:
             raise ValueError(f"cloud is a part of the observation and cannot change later, got {setup.cloud!r}")
@@ -90,7 +91,9 @@ class CADEnv(AbstractEnv):
     def define_spaces(self) -> None:
         """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""
         self.observation_type = self.action_type = None
-        self.observation_space: spaces.Dict = space_with(self.simulation.setup.cloud)
+        self.observation_space: spaces.Dict = space_with(
+            self.simulation.setup.cloud, self.simulation.scenario.command_count
+        )
         self.action_space: spaces.Discrete = spaces.Discrete(2)
 
     def reset(

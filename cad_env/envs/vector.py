@@ -14,7 +14,8 @@ from cad_env.config import check_names
 from cad_env.envs.rewards import Reward, ego_step, progress, reward_named
 from cad_env.envs.single import checked_hazard
 from cad_env.lidar.config import space_with
-from cad_env.simulation.batch import SceneBatch, masked
+from cad_env.scenarios.scenario import Scenario
+from cad_env.simulation.batch import SceneBatch, masked, one_command_count
 from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
 from cad_env.simulation.setup import setup_from
 from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
@@ -42,7 +43,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         num_envs: int = 1,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
-        scenario: str | Sequence[str] = "left_turn",
+        scenario: str | Scenario | Sequence[str | Scenario] = "left_turn",
         object_lists: bool = False,
         reward: str | Reward = "progress",
         **options: Any,
@@ -53,12 +54,12 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         self._reward = reward_named(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        names = [scenario] if isinstance(scenario, str) else list(scenario)
+        names = [scenario] if isinstance(scenario, str | Scenario) else list(scenario)
         if not names:
             raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]
         self.batch = SceneBatch([setups[place % len(setups)] for place in range(num_envs)])
-        self.single_observation_space: spaces.Dict = space_with(setups[0].cloud)
+        self.single_observation_space: spaces.Dict = space_with(setups[0].cloud, one_command_count(setups))
         self.single_action_space: spaces.Discrete = spaces.Discrete(2)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

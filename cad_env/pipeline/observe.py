@@ -42,17 +42,17 @@ class View(NamedTuple):
     oncoming: Ints  # (ROUTE_POINTS,) int8 1 where the way ahead is in a lane of oncoming traffic
 
 
-def empty_view(*lead: int) -> View:
+def empty_view(*lead: int, commands: int = len(Command)) -> View:
     """An observation of nothing; leading dimensions stack views."""
     return View(
         np.zeros((*lead, OBSERVED_TRACKS, FRAMES, 3), np.float32), np.zeros((*lead, OBSERVED_TRACKS, FRAMES), np.int8),
         np.zeros((*lead, OBSERVED_TRACKS), np.int8), np.zeros((*lead, FRAMES, 3), np.float32),
-        np.zeros((*lead, 4), np.float32), np.zeros((*lead, len(Command)), np.int8),
+        np.zeros((*lead, 4), np.float32), np.zeros((*lead, commands), np.int8),
         np.zeros((*lead, ROUTE_POINTS, 2), np.float32), np.zeros((*lead, ROUTE_POINTS), np.int8),
     )  # fmt: skip
 
 
-def observation_space() -> spaces.Dict:
+def observation_space(commands: int = len(Command)) -> spaces.Dict:
     """The space of every agent's observation: a flat Dict of finite boxes."""
 
     def metres(*shape: int) -> spaces.Box:
@@ -65,7 +65,7 @@ def observation_space() -> spaces.Dict:
             "kind": spaces.Box(0, 1, (OBSERVED_TRACKS,), np.int8),
             "odometry": metres(FRAMES, 3),
             "ego": spaces.Box(0.0, MAX_SPEED, (4,), np.float32),
-            "command": spaces.Box(0, 1, (len(Command),), np.int8),
+            "command": spaces.Box(0, 1, (commands,), np.int8),
             "route": metres(ROUTE_POINTS, 2),
             "oncoming": spaces.Box(0, 1, (ROUTE_POINTS,), np.int8),
         }

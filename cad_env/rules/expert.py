@@ -1,4 +1,4 @@
-"""TODO."""
+"""The expert: the rules on the truth. Scenarios may bring one of their own."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 
 from cad_env.numerics.jit import compiled
 from cad_env.rules.planner import PlannerConfig, Rule, decide, oncoming_stretch
+from cad_env.scenarios import scenario_named
 from cad_env.simulation.scene_step import Truths, scene_at
 from cad_env.types import ROUTE_SPACING, Ints
 from cad_env.world.state import OFF, Routes, Truth, World
@@ -67,3 +68,9 @@ def _decide(records: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
     for k in range(which.shape[0]):
         scene = scene_at(records, which[k])
         chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)
+
+
+def expert_of(scenario: Any) -> Any:
+    """The expert of a scenario (a name or the object): its own, or the shipped one."""
+    own = scenario_named(scenario).expert
+    return Expert() if own is None else own()

@@ -13,6 +13,7 @@ from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
 from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows
+from cad_env.types import Command
 from cad_env.world.state import Routes
 
 
@@ -52,6 +53,24 @@ class Scenario:
     plans: tuple[RoutePlan, ...]
     actors: Callable[[Map, Any, np.random.Generator, bool], Actors] = field(repr=False)
     background: Callable[[Map, Actors, np.random.Generator], Groups] = field(repr=False)
+    expert: Callable[[], Any] | None = field(default=None, repr=False)  # makes its own expert; None: the shipped one
+    commands: tuple[str, ...] = ()  # names of commands beyond the paper's six; the first is number 6
+
+    def __post_init__(self) -> None:
+        for plan in self.plans:
+            if unknown := [int(command) for command in plan.commands if not 0 <= command < self.command_count]:
+                raise ValueError(
+                    f"route {plan.name!r} of {self.name} has command {unknown[0]}, but there are {self.command_count}"
+                )
+
+    @property
+    def command_count(self) -> int:
+        """Commands that its routes may ask for: the width of the one-hot in an observation."""
+        return len(Command) + len(self.commands)
+
+    def command_name(self, command: int) -> str:
+        """What a command is called, e.g. TURN_LEFT."""
+        return Command(command).name if command < len(Command) else self.commands[command - len(Command)].upper()
 
     @property
     def map(self) -> Map:

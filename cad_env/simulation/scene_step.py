@@ -4,6 +4,7 @@ Every environment steps its scenes by `play`. It takes them from the records of 
 vehicles, and a call from Python costs next to nothing however many arrays a scene has.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,8 +19,8 @@ from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
-from cad_env.types import COLLISION, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
-from cad_env.world.state import Routes, World, empty_routes, empty_world
+from cad_env.types import COLLISION, FRAMES, SUCCESS, TIMEOUT, Bytes, Command, Floats, Ints
+from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance
 from cad_env.world.time_to_contact import time_to_contact
 
@@ -67,9 +68,9 @@ class SceneState(NamedTuple):
 class BatchState:
     """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
 
-    def __init__(self, places: int, cloud: CloudConfig | None = None) -> None:
+    def __init__(self, places: int, cloud: CloudConfig | None = None, commands: int = len(Command)) -> None:
         self.step_info = _no_step_info(places)
-        self.views: View = empty_view(places, 1)  # what each ego decides on
+        self.views: View = empty_view(places, 1, commands=commands)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
         self.rooms: list[Bytes] = []  # scratch: for clouds before they are encoded
         self._scenes: dict[int, SceneState] = {}  # whose arrays the records borrows
@@ -86,6 +87,10 @@ class BatchState:
     def clouds_at(self, place: int) -> CloudView | None:
         """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
         return self.clouds and CloudView(*(part[place] for part in self.clouds))
+
+    def scene(self, place: int) -> SceneState:
+        """The scene that has a place."""
+        return self._scenes[place]
 
     def put(self, place: int, scene: SceneState) -> None:
         """Let a new scene take a place."""
@@ -192,3 +197,9 @@ class Truths:
 
     batch_state: BatchState
     which: Ints  # (n,)
+
+    def each(self) -> Iterator[Truth]:
+        """The world of each of the scenes, one after another."""
+        for place in self.which.tolist():
+            scene = self.batch_state.scene(place)
+            yield Truth(scene.world, scene.routes, int(scene.fleet.rows[0]))

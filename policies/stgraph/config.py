@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from cad_env.config import check_range
+from cad_env.types import Command
 
 FUSIONS = ("last", "per_layer")
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
-_SIZES = {"hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
+_SIZES = {"commands": 64, "hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
 _SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
 
 
@@ -46,6 +47,7 @@ class StGraphConfig:
     velocity: bool = False  # nodes carry their track's least-squares velocity over the window, the ego node its speed
     ego_speed: bool = False  # the ego's speed beside the command
     class_input: bool = False  # nodes say whether they are a truck
+    commands: int = len(Command)  # that its scenarios have; more than six where one brings its own
 
     def __post_init__(self) -> None:
         for name, most in _SIZES.items():

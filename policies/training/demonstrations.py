@@ -19,7 +19,7 @@ import numpy as np
 
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.rules.expert import Expert
+from cad_env.rules.expert import expert_of
 from cad_env.scoring.rollout import BatchPolicy
 from cad_env.simulation.scene_step import UNDER_WAY
 from cad_env.simulation.setup import Setup
@@ -164,13 +164,14 @@ def _drive(
     envs: CADVectorEnv, policy: BatchPolicy | None, mixing: float, seeds: Sequence[int]
 ) -> Iterator[Demonstrations]:
     """One episode after another, as they end."""
-    expert, batch = Expert(), envs.batch
+    batch = envs.batch
+    expert = expert_of(batch.simulations[0].setup.scenario)
     actions: list[list[int]] = [[] for _ in seeds]
     labels: list[list[int]] = [[] for _ in seeds]
     rng = [np.random.default_rng([seed, 1]) for seed in seeds]
 
     def decide(which: Ints, episodes: Ints) -> Ints:
-        label = expert.act_batch(batch.truths(which))
+        label: Ints = expert.act_batch(batch.truths(which))
         action = label
         if policy is not None:
             seen = {name: part[which] for name, part in batch.observations.items()}

@@ -113,7 +113,7 @@ def test_a_row_that_is_added_can_be_scored_beside_an_earlier_run(tmp_path: Path,
     for rows in (("stgraph",), train.MAIN_METHODS, ("stgraph-own",)):
         settings = train.TrainSettings(out=tmp_path / "run", method=rows, seed=seeds, scenario=("left_turn",))
         for seed in seeds:
-            shutil.copytree(shipped_models("left_turn"), settings.models(seed), dirs_exist_ok=True)
+            shutil.copytree(shipped_models(), settings.models(seed), dirs_exist_ok=True)
         for run in settings.scoring():
             for part in runs_of(run).values() if len(seeds) > 1 else [run]:
                 opened(part)

@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from cad_env.pipeline.varint import DecodeError
     from cad_env.scenarios import register
     from cad_env.scoring.rollout import Episode, rollout, rollouts
+    from cad_env.scoring.scorecard import Scorecard, scorecards
+    from cad_env.scoring.table import table
     from cad_env.simulation.graph_exchange import GraphCodec
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
-    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "SensorConfig", "StepOutcome", "parallel_env", "register", "rollout",
-    "rollouts",
+    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "Scorecard", "SensorConfig", "StepOutcome", "parallel_env",
+    "register", "rollout", "rollouts", "scorecards", "table",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -49,10 +51,13 @@ _LAZY = {
     "DecodeError": "cad_env.pipeline.varint",
     "Episode": "cad_env.scoring.rollout",
     "GraphCodec": "cad_env.simulation.graph_exchange",
+    "Scorecard": "cad_env.scoring.scorecard",
     "StepOutcome": "cad_env.envs.rewards",
-    "rollout": "cad_env.scoring.rollout",
     "register": "cad_env.scenarios",
+    "rollout": "cad_env.scoring.rollout",
     "rollouts": "cad_env.scoring.rollout",
+    "scorecards": "cad_env.scoring.scorecard",
+    "table": "cad_env.scoring.table",
 }
 
 

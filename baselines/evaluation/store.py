@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.grid import Key, grid
+from baselines.folder_note import claim, difference, read_note
 from baselines.methods import folder_of
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import Record, Scorecard, parse_record, scorecards
 
 EPISODES, SETTINGS, SCORES = "episodes.jsonl", "settings.json", "scores.json"
 GIFS = "gifs"  # the folder of animations in a folder of results
-NOTES = ("command",)  # in settings.json: may differ between runs of the same episodes
 
 
 class Store:
@@ -28,7 +28,9 @@ class Store:
         """Open or make the folder; ValueError or OSError if it is damaged, of other settings or not writable."""
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        self._agree_on(settings)
+        if (folder / EPISODES).exists() and not (folder / SETTINGS).exists():
+            raise ValueError(f"{folder} has episodes but no {SETTINGS}: use another folder")
+        claim(folder / SETTINGS, settings, "use another folder or delete that one")
         _make_appendable(folder / EPISODES)
         self.records = {key_of(record): record for record in read_records(folder)}
 
@@ -52,20 +54,9 @@ class Store:
         rows = ",\n".join(json.dumps(vars(row), allow_nan=False) for row in scores)
         replace_file(self.folder / SCORES, f"[\n{rows}\n]\n".encode())
 
-    def _agree_on(self, settings: Mapping[str, Any]) -> None:
-        path = self.folder / SETTINGS
-        if not path.exists():
-            if (self.folder / EPISODES).exists():
-                raise ValueError(f"{self.folder} has episodes but no {SETTINGS}: use another folder")
-            replace_file(path, (json.dumps(settings, indent=2) + "\n").encode())
-            return
-        change = difference(read_settings(self.folder), settings)
-        if change:
-            raise ValueError(f"{self.folder} has episodes with {change}: use another folder or delete that one")
-
 
 def key_of(record: Record) -> Key:
-    """What tells an episode from all others of a run."""
+    """What identifies an episode in a run."""
     return record.scenario, record.method, record.seed
 
 
@@ -81,24 +72,7 @@ def gif_name(record: Record) -> str:
 
 def read_settings(folder: Path) -> dict[str, Any]:
     """What the episodes of a folder were made with. OSError if it does not say, ValueError if that is damaged."""
-    path = folder / SETTINGS
-    try:
-        settings = json.loads(path.read_text())
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged ({error}): use another folder") from None
-    return settings if isinstance(settings, dict) else {}
-
-
-def difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The first setting that differs, in words; empty if none does.
-
-    >>> difference({"depth": 15}, {"depth": 2})
-    'another depth (15, now 2)'
-    """
-    for name in [*now, *before]:
-        if before.get(name) != now.get(name) and name not in NOTES:
-            return f"another {name} ({_brief(before.get(name))}, now {_brief(now.get(name))})"
-    return ""
+    return read_note(folder / SETTINGS)
 
 
 def read_records(folder: Path) -> list[Record]:
@@ -123,14 +97,9 @@ def _make_appendable(path: Path) -> None:
             file.truncate(whole)
 
 
-def _brief(value: object) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 120 else text[:117] + "..."
-
-
 @dataclass(frozen=True)
 class Merging:
-    """Put the finished shards of one run together and print the table, as the whole run would have done."""
+    """Merge the finished shards of one run and print its table."""
 
     merge: tuple[Path, ...]  # the folders of the shards
     out: Path = Path("results")  # folder to write to
@@ -142,7 +111,7 @@ class Merging:
 
 
 def merged(merging: Merging) -> list[Scorecard]:
-    """The scores of all shards together, written to `out`. ValueError or OSError, one line, if they are not one run."""
+    """The scores of all shards, written to `out`. ValueError or OSError, one line, if they are not of one run."""
     settings = _one_run(merging.merge)
     keys = _keys(merging.merge[0], settings)
     records = {key_of(record): record for folder in merging.merge for record in read_records(folder)}

@@ -1,4 +1,4 @@
-"""The same rows trained from several seeds: a run for each, and one table with how far they spread."""
+"""Methods trained from several seeds: a run for each, and one table of the means and ranges."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from baselines.evaluation.settings import Settings
 from baselines.methods import method_named
 from cad_env.scoring.scorecard import Scorecard
+from cad_env.scoring.table import text_table
 
-RULES = "rules"  # the folder of those that are not trained, which are scored once
+RULES = "rules"  # the folder of the methods that are not trained, which are scored once
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Spread:
 
 
 def runs_of(settings: Settings) -> dict[str, Settings]:
-    """The runs to make, by the name of their folder: of those that are not trained, then of each training seed."""
+    """The runs to make, by the name of their folder: one of the methods that are not trained, one for each seed."""
     learned = tuple(name for name in settings.method if method_named(name).model)
     others = tuple(name for name in settings.method if name not in learned)
     runs = {RULES: replace(settings, method=others, models=(), out=settings.out / RULES)} if others else {}
@@ -43,31 +44,35 @@ def spreads(runs: Iterable[Sequence[Scorecard]]) -> list[Spread]:
     scenes = list(dict.fromkeys(scenario for scenario, _ in found))
     return [
         Spread(
-            scenario, method, len(rows), rows[0].episodes, *(
-                _spread([float(getattr(row, name)) for row in rows])
-                for name in ("collision_rate", "success_rate", "mean_time")
-            )
+            scenario=scenario,
+            method=method,
+            seeds=len(rows),
+            episodes=rows[0].episodes,
+            collision=_spread([row.collision_rate for row in rows]),
+            success=_spread([row.success_rate for row in rows]),
+            time=_spread([row.mean_time for row in rows]),
         )
         for scene in scenes
         for (scenario, method), rows in found.items()
         if scenario == scene
-    ]  # fmt: skip
+    ]
 
 
 def _spread(values: Sequence[float]) -> tuple[float, float, float]:
     return sum(values) / len(values), min(values), max(values)
 
 
+SPREAD_TITLES = ("scenario", "method", "seeds", "episodes", "collision %", "success %", "time s")
+
+
 def spread_table(rows: Sequence[Spread]) -> str:
     """The rows as text; in brackets the least and the most of the training seeds."""
-    cells: list[tuple[str, ...]] = [("scenario", "method", "seeds", "episodes", "collision %", "success %", "time s")]
-    for row in rows:
-        values = [_cell(row.collision, 100), _cell(row.success, 100), _cell(row.time, 1)]
-        cells.append((row.scenario, row.method, str(row.seeds), str(row.episodes), *values))
-    widths = [max(len(line[k]) for line in cells) for k in range(len(cells[0]))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in cells
-    )
+    cells = [
+        (row.scenario, row.method, str(row.seeds), str(row.episodes),
+         _cell(row.collision, 100), _cell(row.success, 100), _cell(row.time, 1))
+        for row in rows
+    ]  # fmt: skip
+    return text_table(SPREAD_TITLES, cells, names=2)
 
 
 def _cell(spread: tuple[float, float, float], scale: float) -> str:

@@ -1,6 +1,5 @@
-"""TODO."""
+"""The command that makes the paper's tables: reproduce.py."""
 
-import json
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -10,19 +9,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import BAR, parsed, refused, stopped
+from baselines.cli import Progress, parsed, progress, refused, stopped
+from baselines.folder_note import claim
 from baselines.paper.presets import PRESETS
 from cad_env.config import check_range
+from cad_env.version import version
 
 NOTE, FAILURES = "reproduce.json", "failures.txt"
 
 
-Failure = tuple[str, str]  # what failed, and its whole story, which begins with a line that says why
+Failure = tuple[str, str]  # what failed, and why: a line with the reason, then the traceback
 
 
 @dataclass(frozen=True)
 class ReproduceSettings:
-    """Train and score every row of the paper's tables, and write results.md, results.json and plots."""
+    """Train and score every method of the paper's tables, and write results.md, results.json and plots."""
 
     preset: str = "quick"  # quick, hour or full: how many seeds, steps and episodes (baselines/paper/presets.py)
     out: Path = Path("runs/paper")  # folder of everything
@@ -39,7 +40,7 @@ class ReproduceSettings:
             raise ValueError("merge is of all shards: leave out --shard")
 
     def command(self) -> str:
-        """What makes the whole run."""
+        """The command that makes the whole run."""
         return f"python reproduce.py --preset {self.preset} --out {self.out}"
 
 
@@ -48,7 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         settings = parsed(ReproduceSettings, argv)
         plan = plan_of(settings)
-        claim(plan)
+        note = {**asdict(plan.preset), "version of cad_env": version()}
+        claim(plan.out / NOTE, note, "use another --out or delete it")
         failures = [] if settings.merge else run(plan, settings.jobs, settings.shard)
         if settings.shard is None:
             put_together(plan, settings.command())
@@ -60,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def plan_of(settings: ReproduceSettings) -> Any:
-    """What to do; ValueError for rows or shards that do not exist."""
+    """What to do; ValueError for methods or shards that do not exist."""
     from baselines.evaluation.grid import shard_of
     from baselines.paper.tasks import Plan, in_table
     from cad_env.scenarios import SHIPPED
@@ -68,39 +70,17 @@ def plan_of(settings: ReproduceSettings) -> Any:
     if settings.shard is not None:
         shard_of(settings.shard)
     if unknown := [name for name in settings.method if name not in in_table()]:
-        raise ValueError(f"unknown row {unknown[0]!r}: choose among {', '.join(in_table())}")
+        raise ValueError(f"unknown method {unknown[0]!r}: choose among {', '.join(in_table())}")
     rows = tuple(name for name in in_table() if not settings.method or name in settings.method)
     return Plan(settings.out, PRESETS[settings.preset], SHIPPED, rows)
 
 
-def claim(plan: Any) -> None:
-    """Note in the folder what it is for; ValueError if it holds a run of another preset or version of the scenes."""
-    from baselines.evaluation.store import difference
-    from cad_env.files import replace_file
-    from cad_env.version import version
-
-    wanted = json.loads(json.dumps({**asdict(plan.preset), "version of cad_env": version()}))
-    path = plan.out / NOTE
-    if path.exists():
-        try:
-            found = json.loads(path.read_text())
-        except ValueError:
-            raise ValueError(f"{path} is damaged: use another folder or delete that one") from None
-        if change := difference(found, wanted):
-            raise ValueError(f"{plan.out} holds a run with {change}: use another --out or delete it")
-        return
-    plan.out.mkdir(parents=True, exist_ok=True)
-    replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
-
-
 def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
-    """Record, then train and measure, a training seed after the other, and sweep; with one progress bar.
+    """Record, then train and measure one training seed after the other, then sweep; with one progress bar.
 
-    What failed comes back. It is said and, with its traceback, written down after every stage, so that a run that is
-    interrupted has progress it. A run that is stopped has whole seeds to show.
+    Returns what failed. After every stage failures are printed, and written to a file with their tracebacks, so that
+    an interrupted run has them too. A run that is stopped has finished whole seeds.
     """
-    from tqdm import tqdm
-
     from baselines.evaluation.grid import shard_of
     from baselines.paper import tasks as of
 
@@ -119,7 +99,7 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     demonstrations = float(plan.preset.episodes * len(plan.scenarios))
     total = demonstrations + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
     notes = plan.out / (FAILURES if shard is None else "failures_{}_of_{}.txt".format(*shard_of(shard)))
-    with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
+    with progress(total, "record") as bar:
         found = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
         failures = [(f"record {scenario}", story) for scenario, story in found]
         _note(notes, failures, failures)
@@ -132,13 +112,13 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
 
 
 def _possible(tasks: Sequence[Any], failures: Sequence[Failure]) -> list[Any]:
-    """Those whose method was not lost in training."""
+    """Those whose method did not fail in training."""
     lost = {what for what, _ in failures}
     return [task for task in tasks if f"train {task.row} seed {task.seed}" not in lost]
 
 
 def _note(path: Path, failures: Sequence[Failure], new: Sequence[Failure]) -> None:
-    """Keep the whole story of what has failed so far, and say in a line each what has failed now."""
+    """Write all failures so far to a file with their tracebacks, and print a line for each new one."""
     from tqdm import tqdm
 
     path.unlink(missing_ok=True)
@@ -152,17 +132,17 @@ def _reason(story: str) -> str:
     return story.splitlines()[0]
 
 
-def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Any) -> list[Failure]:
-    """Do all tasks, side by side; those that failed, with the whole story."""
+def _all(work: Callable[[Any], str], tasks: Sequence[Any], jobs: int, bar: Progress) -> list[Failure]:
+    """Do all tasks in several processes; returns those that failed, with their tracebacks."""
     from baselines.workers import heard, workers
 
     if not tasks:
         return []
-    with workers(min(jobs, len(tasks))) as (pool, progress):
+    with workers(min(jobs, len(tasks))) as (pool, told):
         running = {pool.submit(work, task): task for task in tasks}
         while not all(future.done() for future in running):
-            bar.update(sum(heard(progress)))
-        bar.update(sum(heard(progress)))
+            bar.update(sum(heard(told)))
+        bar.update(sum(heard(told)))
         return [(str(task), future.result()) for future, task in running.items() if future.result()]
 
 
@@ -182,7 +162,7 @@ def _perform(plan: Any, task: Any) -> str:
 
 
 def _attempt(act: Callable[[], object]) -> str:
-    """What went wrong, in one line, and its traceback; or nothing."""
+    """Why it failed, in one line, and the traceback; empty if it did not."""
     try:
         act()
     except Exception as error:  # a row that fails, however it does, must not stop the others
@@ -192,7 +172,7 @@ def _attempt(act: Callable[[], object]) -> str:
 
 
 def put_together(plan: Any, command: str) -> None:
-    """Tables and plots of all that is finished."""
+    """Write tables and plots of all that is finished."""
     from baselines.paper.gathering import gather
     from baselines.paper.report import write
 

@@ -14,11 +14,11 @@ from baselines.evaluation.store import (
     SCORES,
     SETTINGS,
     Store,
-    difference,
     key_of,
     read_records,
     read_settings,
 )
+from baselines.folder_note import difference
 from baselines.methods import SHIPPED
 from baselines.paper.tasks import Plan, Task, answered, every_unit, measuring, scoring, table_of
 from cad_env.files import replace_file

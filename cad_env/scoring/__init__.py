@@ -1,1 +1,1 @@
-"""Episodes in closed loop, and what they are worth: rates with intervals, tables."""
+"""Episodes in closed loop, and what they are worth: rates with intervals, tables. Public names are in `cad_env`."""

@@ -1,12 +1,16 @@
-"""Records of episodes -> Scorecards: pure functions. A rate never comes without its interval."""
+"""Episodes -> Records -> Scorecards: pure functions. A rate never comes without its interval."""
 
 import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING
 
 from cad_env.scoring.interval import wilson
 from cad_env.types import OUTCOMES, STEP
+
+if TYPE_CHECKING:
+    from cad_env.scoring.rollout import Episode
 
 KINDS = ("all", "yes", "no")
 
@@ -83,6 +87,29 @@ def _is_amount(value: object) -> bool:
 _RECORD_KEYS = [field.name for field in fields(Record)]
 
 
+def record_of(episode: "Episode") -> Record:
+    """What is kept of an episode."""
+    messages = int(episode.messages_sent.sum())
+    return Record(
+        scenario=episode.scenario,
+        method=episode.method,
+        seed=episode.seed,
+        hazard=episode.hazard,
+        outcome=episode.outcome,
+        time=round(episode.time, 6),
+        brakes=episode.brakes,
+        bytes_per_message_mean=round(episode.bytes_per_message, 3) if messages else None,
+        bytes_per_message_max=int(episode.largest_message.max()) if messages else None,
+        messages_sent=messages,
+        messages_lost=int(episode.messages_lost.sum()),
+        bytes_total=int(episode.bytes_sent.sum()),
+        min_ttc=round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
+        hazard_timing=None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
+        connected=episode.connected,
+        hardest_brake=round(episode.hardest_brake, 6),
+    )
+
+
 def parse_record(line: str) -> Record:
     """The record in a line; ValueError, one line, if it is anything but what `Record.line` writes."""
     try:
@@ -124,13 +151,25 @@ class Scorecard:
     min_ttc: float | None  # s, the smallest of all episodes
 
 
-def scorecards(records: Iterable[Record]) -> list[Scorecard]:
-    """GraphArrays for all episodes, those with a hazard and those without, as far as there are any.
+def scorecards(episodes: "Iterable[Record | Episode]") -> list[Scorecard]:
+    """Rows for all episodes, those with a hazard and those without, as far as there are any.
 
-    Scenarios and methods come in the order of their first record.
+    Scenarios and methods come in the order of their first episode.
+
+    >>> from cad_env import CADVectorEnv, rollouts, table
+    >>> class Go:
+    ...     privileged = False
+    ...     def reset(self, seed): ...
+    ...     def act(self, observation): return 0
+    >>> envs = CADVectorEnv(1, scenario="left_turn", radio="none")
+    >>> print(table(scorecards(rollouts(envs, Go(), range(1_000_000, 1_000_004), method="go"))))
+    scenario   method  hazard  episodes   collision % [95 %] ...
+    -------...
+    left_turn  go      all            4  ...
     """
     groups: dict[tuple[str, str], list[Record]] = {}
-    for record in records:
+    for episode in episodes:
+        record = episode if isinstance(episode, Record) else record_of(episode)
         groups.setdefault((record.scenario, record.method), []).append(record)
     return [
         scorecard(kind, chosen)
@@ -144,22 +183,41 @@ def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
     """The row of at least one record, all of one scenario and method."""
     episodes = len(records)
     count = {outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES}
+    collision, collision_low, collision_high = _rate(count["collision"], episodes)
+    success, success_low, success_high = _rate(count["success"], episodes)
     braked = sum(record.brakes > 0 for record in records)
     needless: _Interval = _rate(braked, episodes) if kind == "no" else (None, None, None)
     messages = sum(record.messages_sent for record in records)
     total = sum(record.bytes_total for record in records)
     time = math.fsum(record.time for record in records)
     return Scorecard(
-        records[0].scenario, records[0].method, kind, episodes,
-        count["collision"], *_rate(count["collision"], episodes),
-        count["success"], *_rate(count["success"], episodes),
-        count["timeout"], time / episodes, _mean([record.time for record in records if record.outcome == "success"]),
-        *needless,
-        total / messages if messages else None,
-        max((record.bytes_per_message_max for record in records if record.bytes_per_message_max), default=None),
-        total / time if time >= STEP else 0.0, messages, sum(record.messages_lost for record in records),
-        min((record.min_ttc for record in records if record.min_ttc is not None), default=None),
-    )  # fmt: skip
+        scenario=records[0].scenario,
+        method=records[0].method,
+        hazard=kind,
+        episodes=episodes,
+        collisions=count["collision"],
+        collision_rate=collision,
+        collision_low=collision_low,
+        collision_high=collision_high,
+        successes=count["success"],
+        success_rate=success,
+        success_low=success_low,
+        success_high=success_high,
+        timeouts=count["timeout"],
+        mean_time=time / episodes,
+        mean_time_success=_mean([record.time for record in records if record.outcome == "success"]),
+        needless_brakes=needless[0],
+        needless_low=needless[1],
+        needless_high=needless[2],
+        bytes_per_message_mean=total / messages if messages else None,
+        bytes_per_message_max=max(
+            (record.bytes_per_message_max for record in records if record.bytes_per_message_max), default=None
+        ),
+        bytes_per_second=total / time if time >= STEP else 0.0,
+        messages_sent=messages,
+        messages_lost=sum(record.messages_lost for record in records),
+        min_ttc=min((record.min_ttc for record in records if record.min_ttc is not None), default=None),
+    )
 
 
 def _rate(count: int, of: int) -> tuple[float, float, float]:

@@ -200,6 +200,7 @@ def _outside(name: str) -> Method:
         from policies.registry import register
 
         register(found, name)
+        register(found)  # the name that its model folders hold
         return _of(LearnedMethod(name, spec=name, **getattr(found, "learned", {})))
     policy = _checked(found, name)
     knows = getattr(policy, "knows", TRUTH if policy.privileged else SENT)

@@ -1,25 +1,25 @@
-"""What all commands share: a record from the command line, errors in one line, and progress."""
+"""What all commands share: reading the command line, progress, and how they end."""
 
 import contextlib
 import io
+import math
 import re
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import tyro
 
 INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
-BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
-EVERY = 30.0  # s between two lines of progress where there is no terminal
+
 
 Parsed = TypeVar("Parsed")
 
 
 def parsed(kind: type[Parsed], argv: Sequence[str] | None) -> Parsed:
-    """A record from the command line. ValueError, one line, for arguments that are refused; `--help` exits."""
+    """A record from the command line; ValueError, one line, for what it does not take. `--help` exits."""
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
@@ -38,15 +38,15 @@ def _first_part(box: str, kind: str) -> str:
 
 
 def stopped(error: BaseException, where: str = "") -> int:
-    """Print one line about a command that was interrupted or lost a process; returns its exit code."""
+    """Print how to resume; return the exit code."""
     interrupted = isinstance(error, KeyboardInterrupt)
-    what = "stopped" if interrupted else "error: a worker process died"
-    print(f"{what}{where}; run the same command to resume", file=sys.stderr)
+    how = "stopped" if interrupted else "error: a worker process died"
+    print(f"{how}{where}; run the same command to resume", file=sys.stderr)
     return INTERRUPTED if interrupted else 1
 
 
 def refused(error: Exception) -> int:
-    """Print in one line why a command is refused; returns its exit code."""
+    """Print in one line why a command is refused; return the exit code."""
     reason = str(error)
     if isinstance(error, OSError) and error.filename is not None:
         reason = f"{error.filename}: {error.strerror}"
@@ -54,51 +54,47 @@ def refused(error: Exception) -> int:
     return 2
 
 
-class Progress(Protocol):
-    """What shows how much of some work is done."""
-
-    def update(self, n: float) -> object:
-        """So much more is done."""
-
-    def set_description(self, desc: str) -> None:
-        """Another part of the work begins."""
+EVERY = 30.0  # s between two lines of progress without a terminal
+BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
 
 
-@contextlib.contextmanager
-def progress(total: float, what: str, done: float = 0) -> Iterator[Progress]:
-    """Show progress on standard error: a bar on a terminal, otherwise a line every 30 s."""
-    if not sys.stderr.isatty():
-        yield ProgressLines(total, what, done)
-        return
-    from tqdm import tqdm
+class Progress:
+    """How far a command is: a bar on a terminal, else a line on standard error every 30 s."""
 
-    with tqdm(total=total, desc=what, initial=done, bar_format=BAR, smoothing=0.1) as bar:
-        yield bar
+    def __init__(self, total: float, what: str, done: float = 0.0) -> None:
+        from tqdm import tqdm  # here, so that --help is quick
 
+        self._total, self._what, self._done = total, what, done
+        self._begun = self._said = time.monotonic()
+        self._first = done
+        terminal = sys.stderr.isatty()
+        self._bar = tqdm(total=total, initial=done, desc=what, bar_format=BAR, disable=not terminal)
+        self._silent = terminal
 
-class ProgressLines:
-    """Progress in a log: now and then a line, such as `scoring 42 %, 3 min left`."""
+    def __enter__(self) -> "Progress":
+        return self
 
-    def __init__(self, total: float, what: str, done: float = 0) -> None:
-        self._total, self._what, self._done, self._before = total, what, done, done
-        self._start = self._last = time.monotonic()
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
 
-    def update(self, n: float) -> None:
-        """So much more is done; prints a line if the last one is long ago."""
-        self._done += n
+    def update(self, done: float) -> None:
+        """So much more has been done."""
+        self._done += done
+        self._bar.update(done)
         now = time.monotonic()
-        if now - self._last >= EVERY:
-            self._last = now
-            print(self._line(now - self._start), file=sys.stderr, flush=True)
+        if not self._silent and now - self._said >= EVERY:
+            self._said = now
+            print(self._line(now), file=sys.stderr, flush=True)
 
-    def set_description(self, desc: str) -> None:
-        """Another part of the work begins."""
-        self._what = desc
+    def describe(self, what: str) -> None:
+        """Another stage begins."""
+        self._what = what
+        self._bar.set_description(what)
 
-    def _line(self, seconds: float) -> str:
-        line = f"{self._what} {100 * self._done / self._total:.0f} %"
-        new = self._done - self._before
-        if new <= 0:
-            return line
-        left = seconds * max(self._total - self._done, 0.0) / new
-        return f"{line}, {left:.0f} s left" if left < 90 else f"{line}, {left / 60:.0f} min left"
+    def _line(self, now: float) -> str:
+        """E.g. `training 42 %, about 3 min left`."""
+        share = min(self._done / self._total, 1.0) if self._total else 1.0
+        here = self._done - self._first
+        rest = (self._total - self._done) * (now - self._begun) / here if here > 0.0 else math.inf
+        left = f", about {math.ceil(rest / 60):.0f} min left" if rest < math.inf else ""
+        return f"{self._what} {100 * share:.0f} %{left}"

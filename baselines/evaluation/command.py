@@ -1,4 +1,4 @@
-"""TODO."""
+"""The command that scores methods: evaluate.py."""
 
 import sys
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def put_together(words: Sequence[str]) -> int:
-    """Merge shards and print the table; ValueError or OSError, one line, for what cannot be merged."""
+    """Merge shards and print the table. ValueError or OSError, one line, if they cannot be merged."""
     from baselines.evaluation.store import Merging, merged  # here, so that --help is quick
 
     merging = parsed(Merging, words)
@@ -40,29 +40,25 @@ def put_together(words: Sequence[str]) -> int:
 
 
 def scored(settings: Settings) -> int:
-    """Score, print the table, and return the exit code; whatever stops it becomes one line on standard error."""
-    if len(settings.models) > 1:
-        return scored_by_seed(settings)
+    """Score, print the table, and return the exit code; errors and interruptions are printed in one line."""
+    store = None
     try:
+        if len(settings.models) > 1:
+            return scored_by_seed(settings)
         from baselines.evaluation.run import completed, opened  # here, so that --help is quick
 
         store = opened(settings)
-    except (ValueError, OSError) as error:
-        return refused(error)
-    except KeyboardInterrupt as error:
-        return stopped(error)
-    try:
         rows = completed(settings, store)
         if settings.shard is None:
             show(rows, settings.folder())
             explain(store, settings)
         else:
-            print(f"Shard {settings.shard} is in {settings.folder()}. Put all together with python evaluate.py --merge")
+            print(f"Shard {settings.shard} is in {settings.folder()}. Merge all shards with python evaluate.py --merge")
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
         total = sum(len(task.seeds) for task in settings.tasks())
-        return stopped(error, f" after {len(store.records)} of {total} episodes")
+        return stopped(error, f" after {len(store.records)} of {total} episodes" if store else "")
     return 0
 
 
@@ -77,7 +73,7 @@ def scored_by_seed(settings: Settings) -> int:
             return code
     if settings.shard is None:
         print(spread_table(spreads([score(run) for run in runs.values()])))
-        print(f"Each training seed has a folder of its own in {settings.out}.")
+        print(f"Each training seed has its own folder in {settings.out}.")
     return 0
 
 
@@ -90,7 +86,7 @@ def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
 
 
 def explain(store: "Store", settings: Settings) -> None:
-    """Write what helps to understand the scores: animations of episodes, and the report."""
+    """Write animations of episodes and the report, as far as they are asked for."""
     if settings.gif:
         from baselines.evaluation.gifs import write_gifs  # here, because only this draws
         from baselines.evaluation.store import GIFS
@@ -104,4 +100,4 @@ def report(folder: Path) -> None:
     """Write the report."""
     from baselines.evaluation.report import write_report  # here, because only this needs matplotlib
 
-    print(f"The tables and plots to read: {write_report(folder)}")
+    print(f"The tables and plots are in {write_report(folder)}.")

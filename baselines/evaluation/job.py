@@ -1,4 +1,4 @@
-"""A method in a scenario, resolved: what a process needs to drive it, made once however many tasks it gets."""
+"""A method in a scenario, resolved: its policy and its environment, made once in each process that drives it."""
 
 import hashlib
 from dataclasses import dataclass
@@ -8,9 +8,11 @@ from typing import Any
 from baselines.evaluation.settings import Settings
 from baselines.methods import Method, method_named
 from baselines.references import is_reference, source_of
+from cad_env.config import RADIO_PRESETS
 from cad_env.types import Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
+CACHED = 16  # jobs that a process keeps
 
 
 @dataclass(frozen=True)
@@ -19,17 +21,21 @@ class Job:
 
     scenario: str
     method: Method
-    options: dict[str, Any]  # of the environment: what is shared, and what its network needs
+    radio: str  # the preset it drives over: none if nothing is sent to it
+    options: dict[str, Any]  # of the environment
     policy: Policy
 
 
 def job_of(settings: Settings, scenario: str, name: str) -> Job:
-    """A method as it drives in a scenario. ValueError for models that are not there or are damaged."""
+    """A method as it drives in a scenario. ValueError for an unknown method, and for a missing or damaged model.
+
+    It is made anew only when its model or source has changed.
+    """
     return _job(settings, scenario, name, digest_of_method(settings, name))
 
 
 def digest_of_method(settings: Settings, name: str) -> str | None:
-    """What a method's decisions depend on beside the settings: its model, its source if it is from outside.
+    """What a method's decisions depend on beside the settings: its model, and its source if it is from outside.
 
     None for rules that ship: `version()` covers them.
     """
@@ -49,19 +55,20 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
     return known.hexdigest()[:16]
 
 
-@lru_cache(maxsize=16)
+@lru_cache(CACHED)
 def _job(settings: Settings, scenario: str, name: str, _: str | None) -> Job:
     method = method_named(name)
-    options = settings.environment(scenario, method)
+    radio, radio_config = (
+        (settings.radio, settings.radio_config()) if method.shares else ("none", RADIO_PRESETS["none"])
+    )
+    options = {**settings.environment(scenario), "radio": radio_config, "depth": min(settings.depth, method.depth)}
     if method.make_policy is not None:
-        return Job(scenario, method, options, method.make_policy(scenario))
-    assert method.learned is not None
+        return Job(scenario, method, radio, options, method.make_policy(scenario))
     from policies.model_folder import load_model  # here, because torch takes a second that the others need not wait
 
-    model = load_model(settings.models_folder() / method.learned.model)
-    if method.learned.shares in ("points", "features"):
-        options = {**options, **model.environment()}
+    assert method.model is not None
+    model = load_model(settings.models_folder() / method.model)
     policy = model.policy()
     if settings.threshold is not None and hasattr(policy, "threshold"):
         policy.threshold = settings.threshold
-    return Job(scenario, method, options, policy)
+    return Job(scenario, method, radio, {**options, **model.environment()}, policy)

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import asdict
@@ -10,30 +9,32 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
+from baselines.cli import Progress
 from baselines.evaluation.grid import Task
 from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
 from baselines.evaluation.settings import HAZARDS, Settings
-from baselines.evaluation.store import NOTES, Store, key_of
+from baselines.evaluation.store import Store, key_of
+from baselines.folder_note import MAY_DIFFER
+from baselines.methods import method_named
+from baselines.references import is_reference
 from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import scenario_named, source_of
-from cad_env.scoring.rollout import BatchPolicy, Episode, rollouts
-from cad_env.scoring.scorecard import Record, Scorecard, scorecards
+from cad_env.scoring.rollout import BatchPolicy, rollouts
+from cad_env.scoring.scorecard import Record, Scorecard, record_of, scorecards
 from cad_env.version import version
 
 ABREAST = 16  # episodes side by side, for a policy that decides in batches
 
 
 def score(settings: Settings) -> list[Scorecard]:
-    """Score every method on every scenario and seed, going on where an earlier run with these settings stopped."""
+    """Score every method on every scenario and seed; resumes an earlier run with these settings."""
     return completed(settings, opened(settings))
 
 
 def opened(settings: Settings) -> Store:
-    """The results so far. ValueError or OSError, one line, for models or a folder that cannot be used."""
+    """The results so far. ValueError or OSError, one line, for methods, models or a folder that cannot be used."""
     prefer_one_thread()
     for scenario in settings.scenarios():
         for name in settings.method:
@@ -44,31 +45,26 @@ def opened(settings: Settings) -> Store:
 def completed(settings: Settings, store: Store, advance: Callable[[int], object] | None = None) -> list[Scorecard]:
     """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only.
 
-    `advance` is progress of finished episodes, and no bar is drawn then.
+    `advance` is called with the number of newly finished episodes; without it, progress is shown.
     """
     keys = [key for task in settings.tasks() for key in task.episodes()]
-    with (
-        tqdm(
-            total=len(keys),
-            initial=len(store.records),
-            unit="episode",
-            smoothing=0.1,
-            disable=True if advance else None,
-        ) as bar,
-        closing(_driven(settings, _missing(settings, store))) as finished,
-    ):
-        for records in finished:
-            new = [record for record in records if key_of(record) not in store.records]
-            if not new:
-                continue  # nothing to wait for the disk for
-            store.append(new)
-            bar.update(len(new))
-            if advance:
-                advance(len(new))
+    if advance is None:
+        with Progress(len(keys), "scoring", len(store.records)) as bar:
+            _drive_missing(settings, store, bar.update)
+    else:
+        _drive_missing(settings, store, advance)
     rows = scorecards(store.put_in_order(keys))
     if settings.shard is None:
         store.write_scores(rows)
     return rows
+
+
+def _drive_missing(settings: Settings, store: Store, advance: Callable[[int], object]) -> None:
+    with closing(_driven(settings, _missing(settings, store))) as finished:
+        for records in finished:
+            if new := [record for record in records if key_of(record) not in store.records]:
+                store.append(new)
+                advance(len(new))
 
 
 def identity(settings: Settings) -> dict[str, Any]:
@@ -84,6 +80,7 @@ def identity(settings: Settings) -> dict[str, Any]:
         **{name: getattr(settings, name) for name in names},
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
         **{f"model of {name}": digest for name, digest in digests.items() if digest is not None},
+        **{f"knowledge of {name}": method_named(name).knows for name in settings.method if is_reference(name)},
         **{f"source of {name}": digest for name, digest in _outside_scenarios(settings).items()},
         "version of cad_env": version(),
         "command": settings.command(),
@@ -93,7 +90,7 @@ def identity(settings: Settings) -> dict[str, Any]:
 
 def digest_of(settings: Settings) -> str:
     """The identity in 16 hexadecimal digits."""
-    known = {name: value for name, value in identity(settings).items() if name not in NOTES}
+    known = {name: value for name, value in identity(settings).items() if name not in MAY_DIFFER}
     return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
 
 
@@ -120,24 +117,11 @@ def drive(settings: Settings, task: Task) -> Iterator[Record]:
     job = job_of(settings, task.scenario, task.method)
     side_by_side = min(ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
     envs = CADVectorEnv(side_by_side, **job.options)
-    return map(_record, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
-
-
-def _record(episode: Episode) -> Record:
-    messages = int(episode.messages_sent.sum())
-    return Record(
-        episode.scenario, episode.method, episode.seed, episode.hazard, episode.outcome, round(episode.time, 6),
-        episode.brakes, round(episode.bytes_per_message, 3) if messages else None,
-        int(episode.largest_message.max()) if messages else None, messages,
-        int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
-        round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
-        None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
-        episode.connected, round(episode.hardest_brake, 6),
-    )  # fmt: skip
+    return map(record_of, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:
-    """Records as episodes end; some come twice."""
+    """Records as episodes end; from several processes, some come twice."""
     work = partial(_drive_and_tell, settings)
     if settings.backend == "ray" and tasks:
         yield from on_ray(work, tasks, settings.jobs)
@@ -146,18 +130,18 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
             for record in drive(settings, task):
                 yield [record]
     else:
-        with workers(min(settings.jobs, len(tasks))) as (pool, progress):
+        with workers(min(settings.jobs, len(tasks))) as (pool, told):
             running = {pool.submit(work, task) for task in tasks}
             while running:
-                yield heard(progress)
+                yield heard(told)
                 finished = {future for future in running if future.done()}
                 for future in finished:
-                    yield future.result()  # all of a task: what it progress last may still be on its way
+                    yield future.result()  # all of a task: what it told last may still be on its way
                 running -= finished
 
 
 def _drive_and_tell(settings: Settings, task: Task) -> list[Record]:
-    """What a process does: each record is progress as its episode ends, so that a kill loses none that has ended."""
+    """What a worker does: it sends each record as its episode ends, so that a kill loses no finished episode."""
     records = []
     for record in drive(settings, task):
         tell(record)

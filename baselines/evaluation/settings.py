@@ -1,4 +1,4 @@
-"""What a scoring run is asked for; also the command line of evaluate.py."""
+"""The settings of a scoring run: the command line of evaluate.py."""
 
 import math
 import shlex
@@ -8,8 +8,8 @@ from typing import Any
 
 from baselines.evaluation.grid import Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
-from baselines.methods import SHIPPED, Method, method_named, shipped_models
-from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
+from baselines.methods import SHIPPED, shipped_models
+from cad_env.config import RadioConfig, SensorConfig, check_range, radio_config
 from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
@@ -23,12 +23,12 @@ class Settings:
     """Score methods in closed loop, all on the same seeds of every scenario.
 
     Writes episodes.jsonl (one line an episode), scores.json (rates with 95 % Wilson intervals) and report.html (tables
-    and plots), and prints the table. Interrupt it as you like: the same command goes on where it stopped.
-    `--merge FOLDER FOLDER ... --out FOLDER` instead of these options puts the finished shards of one run together.
+    and plots), and prints the table. If it is stopped, run the same command again to resume.
+    `--merge FOLDER FOLDER ... --out FOLDER`, without the options below, merges the finished shards of one run.
     """
 
     scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
-    method: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/methods.py has more
+    method: tuple[str, ...] = SHIPPED  # names, or module:Policy of your own, in the order of the table
     models: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
     episodes: int = 500  # per scenario and method
     first_seed: int = 1_000_000  # training never uses seeds from a million on
@@ -54,8 +54,6 @@ class Settings:
     threshold: float | None = None  # P(brake) from which a learned method brakes; default: its model's own
 
     def __post_init__(self) -> None:
-        for name in self.method:
-            method_named(name)
         for what in ("scenario", "method"):
             names = getattr(self, what)
             if not names or len(set(names)) < len(names):
@@ -81,7 +79,7 @@ class Settings:
         from cad_env.simulation.setup import setup_from
 
         for scenario in self.scenarios():
-            setup_from(self._environment(scenario, self.radio_config(), self.depth))
+            setup_from(self.environment(scenario))
 
     def scenarios(self) -> tuple[str, ...]:
         """The names of the scenarios, in the order of the table."""
@@ -89,20 +87,16 @@ class Settings:
 
         return SHIPPED if self.scenario == ALL else tuple(scenario_named(name).name for name in self.scenario)
 
-    def environment(self, scenario: str, method: Method) -> dict[str, Any]:
-        """The options of the environment for a method, beside those that its network needs."""
-        radio = self.radio_config() if method.shares else RADIO_PRESETS["none"]
-        return self._environment(scenario, radio, min(self.depth, method.depth))
-
-    def _environment(self, scenario: str, radio: RadioConfig, depth: int) -> dict[str, Any]:
+    def environment(self, scenario: str) -> dict[str, Any]:
+        """The options of the environment, for a method that shares all it can."""
         return {
             "scenario": scenario,
-            "radio": radio,
+            "radio": self.radio_config(),
             "sensor": SensorConfig(
                 noise=self.sensor_noise, gnss_noise=self.gnss_noise, gnss_yaw_noise=math.radians(self.gnss_yaw_noise)
             ),
             "ranges": {} if self.collaborators is None else {"collaborators": (self.collaborators,) * 2},
-            "depth": depth,
+            "depth": self.depth,
             "traffic": self.traffic,
             "penetration": self.penetration,
         }
@@ -130,7 +124,7 @@ class Settings:
         return self.out if self.shard is None else self.out / "shard_{}_of_{}".format(*shard_of(self.shard))
 
     def command(self) -> str:
-        """A command that gives these results, however they were come by."""
+        """A command that gives these results, in one process and without shards."""
         words = ["python", "evaluate.py"]
         for field in fields(self):
             value = getattr(self, field.name)

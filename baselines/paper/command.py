@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import Progress, parsed, progress, refused, stopped
+from baselines.cli import Progress, parsed, refused, stopped
 from baselines.folder_note import claim
 from baselines.paper.presets import PRESETS
 from cad_env.config import check_range
@@ -99,12 +99,12 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     demonstrations = float(plan.preset.episodes * len(plan.scenarios))
     total = demonstrations + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
     notes = plan.out / (FAILURES if shard is None else "failures_{}_of_{}.txt".format(*shard_of(shard)))
-    with progress(total, "record") as bar:
+    with Progress(total, "record") as bar:
         found = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
         failures = [(f"record {scenario}", story) for scenario, story in found]
         _note(notes, failures, failures)
         for name, tasks in stages if not failures else ():
-            bar.set_description(name)
+            bar.describe(name)
             found = _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
             failures += found
             _note(notes, failures, found)

@@ -83,7 +83,7 @@ def measure(method: Method, settings: Settings, scenario: str, seeds: Sequence[i
     found: list[OpenEpisode] = []
     for start in range(0, len(seeds), ABREAST):  # so many episodes of observations are held at a time
         found += _asked(job.policy, envs, seeds[start : start + ABREAST], HAZARDS[settings.hazard])
-    return OpenLoop(scenario, method.name, settings.radio if method.shares else "none", tuple(found))
+    return OpenLoop(scenario, method.name, job.radio, tuple(found))
 
 
 def _asked(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], hazard: bool | None) -> list[OpenEpisode]:

@@ -1,11 +1,6 @@
-"""Safety against bytes, and robustness: PNG files. Only this module needs matplotlib, and only once it draws.
-
-Colours are Okabe and Ito's, which people with any common colour blindness tell apart; without them the shapes still
-tell the rows apart.
-"""
+"""Safety against bytes, and robustness: PNG files. Only this module needs matplotlib, and only once it draws."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +8,7 @@ from baselines.paper.closed_metrics import ClosedRow
 from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import spoken
+from baselines.plot_style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, styled
 from cad_env.scoring.interval import Estimate
 
 if TYPE_CHECKING:
@@ -21,8 +17,8 @@ if TYPE_CHECKING:
 
 SweepRows = Mapping[str, Mapping[str, ClosedRow]]  # value -> method
 COLOURS = {
-    "rules": "#000000", "constant": "#777777", "own": "#D55E00", "graph": "#0072B2", "points": "#009E73",
-    "features": "#CC79A7", "truth": "#E69F00",
+    "rules": BLACK, "constant": GREY, "own": VERMILION, "graph": BLUE, "points": GREEN, "features": PURPLE,
+    "truth": ORANGE,
 }  # fmt: skip
 LOOKS = {  # row -> (what it shares, its shape)
     "always-go": ("constant", ">"), "always-brake": ("constant", "X"), "command-only": ("constant", "o"),
@@ -32,18 +28,7 @@ LOOKS = {  # row -> (what it shares, its shape)
     "stgraph-no-edges": ("graph", "d"), "stgraph-bc": ("graph", "h"), "stgraph": ("graph", "o"),
     "stgraph-velocity": ("graph", "<"),
 }  # fmt: skip
-COMPARED_COLOURS = {"stgraph": "#0072B2", "collab-gat": "#D55E00", "compressed": "#009E73"}
-STYLE = {
-    "font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True,
-    "grid.color": "#e4e4e4", "axes.edgecolor": "#888888", "legend.frameon": False, "legend.fontsize": 9,
-    "errorbar.capsize": 2.5, "lines.markersize": 7,
-}  # fmt: skip
-
-
-def _styled() -> "AbstractContextManager[None]":
-    import matplotlib
-
-    return matplotlib.rc_context(STYLE)  # type: ignore[arg-type]  # its stubs list the keys one by one
+COMPARED_COLOURS = {"stgraph": BLUE, "collab-gat": VERMILION, "compressed": GREEN}
 
 
 def _figure(width: float, height: float, columns: int, **options: Any) -> "tuple[Figure, list[Axes]]":
@@ -60,7 +45,7 @@ def safety_plot(path: Path, rows: Mapping[str, Sequence[ClosedRow]], sweeps: Map
     """
     first, *others = rows
     sending = {radio: [row for row in rows[radio] if row.bytes_per_second] for radio in others}
-    with _styled():
+    with styled():
         figure, axes = _figure(11.5, 5.4, 2)
         zone = _zone([*rows[first], *(row for some in sending.values() for row in some)], sweeps)
         for axis, what in zip(axes, ("success", "collision"), strict=True):
@@ -105,7 +90,7 @@ def _size_line(axis: "Axes", values: SweepRows, what: str, name: str, line: str,
     heights = [100 * getattr(row, what).value for _, row in rows]
     label, unit, above = {"depth": ("1 to 15 frames", "", 6), "budget": ("budget swept", " B", -12)}[name]
     axis.plot(
-        places, heights, line, color="#56B4E9", linewidth=1.8, marker=".", markersize=6, label=f"stgraph, {label}",
+        places, heights, line, color=SKY, linewidth=1.8, marker=".", markersize=6, label=f"stgraph, {label}",
         zorder=2,
     )  # fmt: skip
     for at in (0, -1) if name == "depth" else (0,):  # its ends: between them they would hide each other
@@ -151,14 +136,14 @@ def _legend(figure: "Figure", axis: "Axes", hollow: Sequence[str]) -> None:
     keys = [handles[k] for k in order]
     named = [labels[k] for k in order]
     for radio in hollow:
-        keys.append(Line2D([], [], linestyle="none", marker="o", color="#777777", markerfacecolor="white"))
+        keys.append(Line2D([], [], linestyle="none", marker="o", color=GREY, markerfacecolor="white"))
         named.append(f"hollow: radio {radio}")
     figure.legend(keys, named, loc="outside right center", labelspacing=0.45)
 
 
 def robustness_plot(path: Path, name: str, scenes: Mapping[str, SweepRows]) -> None:
     """A sweep, scene by scene: success of each method with its Wilson band, and collisions dashed."""
-    with _styled():
+    with styled():
         figure, axes = _figure(1.4 + 3.4 * len(scenes), 3.6, len(scenes), sharey=True)
         for axis, (scene, values) in zip(axes, scenes.items(), strict=True):
             places = _places(list(values))
@@ -179,7 +164,7 @@ def robustness_plot(path: Path, name: str, scenes: Mapping[str, SweepRows]) -> N
 
 
 def _curve(axis: "Axes", method: str, rows: Mapping[float, ClosedRow]) -> None:
-    colour, shape = COMPARED_COLOURS.get(method, "#777777"), LOOKS.get(method, ("", "."))[1]
+    colour, shape = COMPARED_COLOURS.get(method, GREY), LOOKS.get(method, ("", "."))[1]
     places = list(rows)
     success = [row.success for row in rows.values()]
     axis.fill_between(

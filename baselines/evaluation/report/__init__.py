@@ -1,13 +1,14 @@
 """report.html: what a scoring run found, for people, in one file that needs nothing else and no network."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from baselines.evaluation.report.figures import knowledge_of
 from baselines.evaluation.report.page import html_page
 from baselines.evaluation.report.plots import all_plots
 from baselines.evaluation.store import gif_of, read_records, read_settings
-from baselines.methods import METHODS, NOTHING
+from baselines.methods import NOTHING
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import Record, scorecards
 
@@ -22,16 +23,17 @@ def write_report(folder: Path) -> Path:
     It depends on the files of the folder only. OSError or ValueError if they cannot be read.
     """
     records = read_records(folder)
-    rows = scorecards(records)
-    shown, left = _animations(folder, records)
-    html = html_page(read_settings(folder), rows, all_plots(rows, records), shown, left)
+    rows, settings = scorecards(records), read_settings(folder)
+    knows = knowledge_of(settings)
+    shown, left = _animations(folder, records, knows)
+    html = html_page(settings, rows, all_plots(rows, records, knows), shown, left)
     replace_file(folder / REPORT, html.encode())
     return folder / REPORT
 
 
-def _animations(folder: Path, records: Sequence[Record]) -> tuple[dict[str, bytes], int]:
+def _animations(folder: Path, records: Sequence[Record], knows: Mapping[str, str]) -> tuple[dict[str, bytes], int]:
     """caption -> GIF of the most telling that fit in, and how many more there are."""
-    there = _most_telling_first([record for record in records if gif_of(folder, record).exists()])
+    there = _most_telling_first([record for record in records if gif_of(folder, record).exists()], knows)
     shown: dict[str, bytes] = {}
     room = ROOM
     for record in there:
@@ -44,14 +46,13 @@ def _animations(folder: Path, records: Sequence[Record]) -> tuple[dict[str, byte
     return shown, len(there) - len(shown)
 
 
-def _most_telling_first(records: Sequence[Record]) -> list[Record]:
+def _most_telling_first(records: Sequence[Record], knows: Mapping[str, str]) -> list[Record]:
     """One of each kind before a second, who knows something before who does not, hazards and collisions early."""
     seen: Counter[tuple[str, str, str, bool]] = Counter()
     ranks = []
     for place, record in enumerate(records):
         kind = record.scenario, record.method, record.outcome, record.hazard
-        known = METHODS.get(record.method)
-        blind = known is None or known.knows == NOTHING
+        blind = knows.get(record.method, NOTHING) == NOTHING
         ranks.append((seen[kind], blind, not record.hazard, TELLING.index(record.outcome), record.method, place))
         seen[kind] += 1
     return [records[place] for *_, place in sorted(ranks)]

@@ -1,38 +1,21 @@
-"""How plots look. Colour says what a method knows, shape who decides; a panel is a scenario.
-
-The colours are Okabe and Ito's, which people with any common colour blindness tell apart ("Color Universal Design",
-2008); without them the shapes still tell the methods apart.
-"""
+"""How the plots of a report look. Colour says what a method knows, shape who decides; a panel is a scenario."""
 
 import io
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
 from baselines.methods import KNOWLEDGE, METHODS, NOTHING, SEEN, SENT, TRUTH
+from baselines.plot_style import BLUE, GREEN, GREY, VERMILION
 
-COLOURS = {NOTHING: "#555555", SEEN: "#D55E00", SENT: "#0072B2", TRUTH: "#009E73"}
+KNOWLEDGE_COLOURS = {NOTHING: GREY, SEEN: VERMILION, SENT: BLUE, TRUTH: GREEN}
 SHAPES = {"always-go": ">", "always-brake": "X", "planner-own": "s", "planner-shared": "s", "expert": "D"}
 WIDTHS = {1: 6.0, 2: 4.6}  # inches of a panel, by the number of panels beside each other
 WIDTH = 3.6  # of one in more
-STYLE = {
-    "font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "axes.axisbelow": True,
-    "grid.color": "#e4e4e4", "axes.edgecolor": "#888888", "xtick.color": "#333333", "ytick.color": "#333333",
-    "svg.hashsalt": "cad-env", "errorbar.capsize": 3.0, "lines.markersize": 6.5, "legend.frameon": False,
-}  # fmt: skip
-
-
-@contextmanager
-def styled() -> Iterator[None]:
-    """Inside, figures look as they do in a report."""
-    with matplotlib.rc_context(STYLE):  # type: ignore[arg-type]  # its stubs list the keys one by one
-        yield
 
 
 def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -> tuple[Figure, list[dict[str, Axes]]]:
@@ -45,28 +28,34 @@ def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -
     return figure, [dict(zip(scenarios, row, strict=True)) for row in grid]
 
 
-def look(method: str) -> dict[str, Any]:
+def knowledge_of(settings: Mapping[str, Any]) -> dict[str, str]:
+    """What each method of a run knows; settings.json says it of those from outside."""
+    return {
+        name: METHODS[name].knows if name in METHODS else settings.get(f"knowledge of {name}", NOTHING)
+        for name in settings.get("method", METHODS)
+    }
+
+
+def look(method: str, knows: Mapping[str, str]) -> dict[str, Any]:
     """Colour and shape of a method's points."""
-    return {"color": colour(method), "marker": SHAPES.get(method, "o"), "linestyle": "none"}
+    return {"color": colour(method, knows), "marker": SHAPES.get(method, "o"), "linestyle": "none"}
 
 
-def colour(method: str) -> str:
+def colour(method: str, knows: Mapping[str, str]) -> str:
     """By what it knows."""
-    known = METHODS.get(method)
-    return COLOURS[known.knows if known else NOTHING]
+    return KNOWLEDGE_COLOURS[knows.get(method, NOTHING)]
 
 
-def knowledge_legend(figure: Figure, methods: Iterable[str]) -> None:
+def knowledge_legend(figure: Figure, methods: Iterable[str], knows: Mapping[str, str]) -> None:
     """What the colours of these methods say, below the panels."""
-    used = {colour(name) for name in methods}
-    keys = [Line2D([], [], color=COLOURS[knows], linewidth=3.0, label=knows) for knows in KNOWLEDGE]
-    keys = [key for key in keys if key.get_color() in used]
+    used = {knows.get(name, NOTHING) for name in methods}
+    keys = [Line2D([], [], color=KNOWLEDGE_COLOURS[k], linewidth=3.0, label=k) for k in KNOWLEDGE if k in used]
     figure.legend(handles=keys, loc="outside lower left", ncols=len(keys), title="knows", alignment="left")
 
 
-def method_legend(figure: Figure, methods: Iterable[str]) -> None:
+def method_legend(figure: Figure, methods: Iterable[str], knows: Mapping[str, str]) -> None:
     """Which point is whose, beside the panels."""
-    keys = [Line2D([], [], label=name, **look(name)) for name in methods]
+    keys = [Line2D([], [], label=name, **look(name, knows)) for name in methods]
     figure.legend(handles=keys, loc="outside right center")
 
 

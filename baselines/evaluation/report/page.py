@@ -6,14 +6,14 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
+from baselines.evaluation.report.figures import knowledge_of
 from baselines.evaluation.report.plots import Plot
-from baselines.methods import METHODS
 from cad_env.scoring.scorecard import Scorecard
 from cad_env.scoring.table import TITLES, cells_of
 
 SAID_ELSEWHERE = ("scenario", "method", "command", "episodes", "first_seed")
 UNITS = {"sensor_noise": "m", "gnss_noise": "m", "delay": "s", "range": "m", "depth": "frames"}
-STYLE = """
+CSS = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 76rem; margin: 2rem auto;
   padding: 0 1rem }
 h1 { font-size: 1.6rem; line-height: 1.25; margin-bottom: .5rem }
@@ -57,12 +57,15 @@ def html_page(
         *(_plot(plot) for plot in plots),
         "<h2>All numbers</h2>",
         f'<p class="note">{LEGEND}</p>',
-        *(_table(scenario, list(part)) for scenario, part in groupby(rows, lambda row: row.scenario)),
+        *(
+            _table(scenario, list(part), knowledge_of(settings))
+            for scenario, part in groupby(rows, lambda row: row.scenario)
+        ),
         _pictures(gifs, left) if gifs else "",
     ]
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
     return "\n".join(
-        ["<!doctype html>", '<html lang="en">', f"<head>{head}<style>{STYLE}</style></head>", "<body>", *body]
+        ["<!doctype html>", '<html lang="en">', f"<head>{head}<style>{CSS}</style></head>", "<body>", *body]
     ) + ("\n</body>\n</html>\n")
 
 
@@ -101,20 +104,20 @@ def _plot(plot: Plot) -> str:
     return f"<h2>{escape(plot.title)}</h2>\n<figure>{image}<figcaption>{escape(plot.caption)}</figcaption></figure>"
 
 
-def _table(scenario: str, rows: Sequence[Scorecard]) -> str:
+def _table(scenario: str, rows: Sequence[Scorecard], knows: Mapping[str, str]) -> str:
     titles = (*TITLES[1:], "bytes/s", "min TTC s")
     head = "".join(f"<th{_kind(k)}>{escape(title)}</th>" for k, title in enumerate(titles))
-    lines = "\n".join(_lines(list(group)) for _, group in groupby(rows, lambda row: row.method))
+    lines = "\n".join(_lines(list(group), knows) for _, group in groupby(rows, lambda row: row.method))
     return (
         f'<h3>{escape(scenario.replace("_", " ").capitalize())}</h3>\n<div class="wide"><table>\n'
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n{lines}\n</tbody></table></div>"
     )
 
 
-def _lines(rows: Sequence[Scorecard]) -> str:
+def _lines(rows: Sequence[Scorecard], knows: Mapping[str, str]) -> str:
     """The rows of one method: all episodes under its name, then parts of them beside what it knows."""
-    known = METHODS.get(rows[0].method)
-    names = (rows[0].method, f"knows {known.knows}" if known else "", *[""] * len(rows))
+    known = knows.get(rows[0].method)
+    names = (rows[0].method, f"knows {known}" if known else "", *[""] * len(rows))
     return "\n".join(_line(name, row) for name, row in zip(names, rows, strict=False))
 
 

@@ -4,14 +4,13 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
+from baselines.cli import Progress
 from baselines.evaluation.grid import Task
 from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
@@ -44,27 +43,18 @@ def opened(settings: Settings) -> Store:
 def completed(settings: Settings, store: Store, advance: Callable[[int], object] | None = None) -> list[Scorecard]:
     """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only.
 
-    `advance` is progress of finished episodes, and no bar is drawn then.
+    `advance` is told of finished episodes, and no progress is shown then.
     """
     keys = [key for task in settings.tasks() for key in task.episodes()]
-    with (
-        tqdm(
-            total=len(keys),
-            initial=len(store.records),
-            unit="episode",
-            smoothing=0.1,
-            disable=True if advance else None,
-        ) as bar,
-        closing(_driven(settings, _missing(settings, store))) as finished,
-    ):
+    shown: Any = nullcontext() if advance else Progress(len(keys), "scoring", len(store.records))
+    with shown as bar, closing(_driven(settings, _missing(settings, store))) as finished:
+        report = advance or bar.update
         for records in finished:
             new = [record for record in records if key_of(record) not in store.records]
             if not new:
                 continue  # nothing to wait for the disk for
             store.append(new)
-            bar.update(len(new))
-            if advance:
-                advance(len(new))
+            report(len(new))
     rows = scorecards(store.put_in_order(keys))
     if settings.shard is None:
         store.write_scores(rows)
@@ -152,12 +142,12 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
                 yield heard(progress)
                 finished = {future for future in running if future.done()}
                 for future in finished:
-                    yield future.result()  # all of a task: what it progress last may still be on its way
+                    yield future.result()  # all of a task: what it reported last may still be on its way
                 running -= finished
 
 
 def _drive_and_tell(settings: Settings, task: Task) -> list[Record]:
-    """What a process does: each record is progress as its episode ends, so that a kill loses none that has ended."""
+    """What a process does: each record is reported as its episode ends, so that a kill loses none that has ended."""
     records = []
     for record in drive(settings, task):
         tell(record)

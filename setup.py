@@ -1,8 +1,8 @@
 """Where packages go. All else about the distribution is in pyproject.toml.
 
-`policies` and `baselines` are top-level packages of the repository. Names as common as these would shadow other people's
-modules in site-packages, so a wheel holds them as `cad_learning.policies` and `cad_learning.baselines`, with their imports
-rewritten. An editable install leaves them as they are.
+`policies` and `baselines` are top-level packages of the repository. Names as common as these would shadow other
+people's modules in site-packages, so a wheel holds them as `cad_learning.policies` and `cad_learning.baselines`, with
+their imports rewritten. An editable install leaves them as they are.
 """
 
 import ast
@@ -60,7 +60,7 @@ def _starts_a_module(text: ast.JoinedStr) -> bool:
 class BuildPy(build_py):
     """Adapts the moved packages on their way into a wheel."""
 
-    def build_module(self, module, module_file, package):  # type: ignore[no-untyped-def]
+    def build_module(self, module, module_file, package):
         """Copy a module, and adapt the copy if its package moves."""
         target, copied = super().build_module(module, module_file, package)
         if package.startswith(HOME) and not self.editable_mode:
@@ -74,12 +74,12 @@ def main() -> None:
     ours = find_packages(include=["cad_env", "cad_env.*"])
     moved = find_packages(include=[pattern for name in MOVED for pattern in (name, f"{name}.*")])
     if any("editable" in word or word == "develop" for word in sys.argv):
-        setup(packages=[*ours, *moved], package_data={name: DATA for name in ("cad_env", *MOVED)})
+        setup(packages=[*ours, *moved], package_data=dict.fromkeys(("cad_env", *MOVED), DATA))
         return
     setup(
         packages=[*ours, *(f"{HOME}.{name}" for name in moved)],
         package_dir={f"{HOME}.{name}": name for name in MOVED},
-        package_data={name: DATA for name in ("cad_env", *(f"{HOME}.{name}" for name in MOVED))},
+        package_data=dict.fromkeys(("cad_env", *(f"{HOME}.{name}" for name in MOVED)), DATA),
         cmdclass={"build_py": BuildPy},
     )
 

@@ -1,4 +1,4 @@
-"""What the models that ship do: some episodes of every scene in half a minute, beside who always goes and the expert."""
+"""What the models that ship do: some episodes of every scene in half a minute, beside always going and the expert."""
 
 import tempfile
 from collections.abc import Sequence
@@ -34,5 +34,5 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return stopped(error)
     print(table(rows))
-    print("\nalways-go knows nothing, stgraph-own what it sees, stgraph what it sees and is sent, the expert the truth.")
+    print("\nalways-go knows nothing, stgraph-own what it sees, stgraph what it sees and is sent, expert the truth.")
     return 0

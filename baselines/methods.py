@@ -1,7 +1,7 @@
 """The lines of the results table: what each method knows, who decides, and how it is learned.
 
-Names in brackets are the paper's. A method from outside is named `module:attribute` or `module:factory(argument=value)`:
-a policy, or a network spec that is trained first (`baselines.references`).
+Names in brackets are the paper's. A method from outside is named `module:attribute` or
+`module:factory(argument=value)`: a policy, or a network spec that is trained first (`baselines.references`).
 """
 
 import difflib

@@ -58,10 +58,11 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
 @lru_cache(CACHED)
 def _job(settings: Settings, scenario: str, name: str, _: str | None) -> Job:
     method = method_named(name)
-    radio, radio_config = (
-        (settings.radio, settings.radio_config()) if method.shares else ("none", RADIO_PRESETS["none"])
-    )
-    options = {**settings.environment(scenario), "radio": radio_config, "depth": min(settings.depth, method.depth)}
+    radio = settings.radio if method.shares else "none"
+    options = settings.environment(scenario)
+    options["depth"] = min(settings.depth, method.depth)
+    if not method.shares:
+        options["radio"] = RADIO_PRESETS["none"]
     if method.make_policy is not None:
         return Job(scenario, method, radio, options, method.make_policy(scenario))
     from policies.model_folder import load_model  # here, because torch takes a second that the others need not wait

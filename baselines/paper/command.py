@@ -1,4 +1,4 @@
-"""The command that makes the paper's tables: reproduce.py."""
+"""reproduce.py: demonstrations, all methods, their scores and sweeps, and the tables and plots of them."""
 
 import sys
 import traceback

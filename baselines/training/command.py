@@ -1,4 +1,4 @@
-"""TODO."""
+"""train.py: demonstrations, then every method and seed side by side, then their closed-loop table."""
 
 import sys
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import BAR, parsed, refused, stopped
+from baselines.cli import Progress, parsed, refused, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import Settings
 from baselines.methods import learned_named, radio_of
@@ -140,15 +140,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def train_all(settings: TrainSettings, lessons: Sequence[tuple[Lesson, Any]]) -> None:
     """Record the expert once, then train side by side, with one progress bar over all the work."""
-    from tqdm import tqdm
-
     from baselines.workers import workers
 
     scenes, folder = settings.scenarios(), settings.folder() / "demonstrations"
     total = settings.episodes * len(scenes) + sum(course.work() for _, course in lessons)
     with (
         workers(min(settings.jobs, max(len(lessons), len(scenes)))) as (pool, progress),
-        tqdm(total=total, desc="training", bar_format=BAR, disable=None) as bar,
+        Progress(total, "training") as bar,
     ):
         _wait_for([pool.submit(_record, folder, scene, settings.episodes) for scene in scenes], progress, bar)
         _wait_for([pool.submit(_learn, lesson, course) for lesson, course in lessons], progress, bar)

@@ -1,4 +1,4 @@
-"""A scenario is a map, its routes, a actors and the traffic around it, each drawn from a stream of chance of its own."""
+"""A scenario is a map, its routes, its actors and the traffic around them, each drawn from its own random stream."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields

@@ -59,7 +59,7 @@ class SceneBatch:
 
     @property
     def outcomes(self) -> Ints:
-        """(S,) int8 how each episode stands, by the numbers of `cad_env.simulation.scene_step`; filled anew by every step."""
+        """(S,) int8 how each episode stands, by the numbers of `scene_step`; filled anew by every step."""
         return self.batch_state.step_info.outcome
 
     @property

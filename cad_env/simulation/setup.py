@@ -1,4 +1,4 @@
-"""TODO."""
+"""Everything about an environment that is not drawn from the seed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

@@ -49,7 +49,7 @@ def html_page(
     settings: Mapping[str, Any], rows: Sequence[Scorecard], plots: Sequence[Plot], gifs: Mapping[str, bytes], left: int
 ) -> str:
     """The whole report; `left` animations more are in the folder gifs."""
-    title = _title(rows)
+    title, knows = _title(rows), knowledge_of(settings)
     body = [
         f"<h1>{escape(title)}</h1>",
         f"<p>{INTRODUCTION}</p>",
@@ -57,10 +57,7 @@ def html_page(
         *(_plot(plot) for plot in plots),
         "<h2>All numbers</h2>",
         f'<p class="note">{LEGEND}</p>',
-        *(
-            _table(scenario, list(part), knowledge_of(settings))
-            for scenario, part in groupby(rows, lambda row: row.scenario)
-        ),
+        *(_table(scenario, list(part), knows) for scenario, part in groupby(rows, lambda row: row.scenario)),
         _pictures(gifs, left) if gifs else "",
     ]
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'

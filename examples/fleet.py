@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import tyro
 from tqdm import tqdm
 
-from baselines.methods import method_named, shipped_models
+from baselines.evaluation.job import job_of
+from baselines.evaluation.settings import Settings as Scoring
 from cad_env.envs.parallel import CADParallelEnv
 from cad_env.scoring.fleet import FleetEpisode, fleet_scores, fleet_table, rollout_fleet
 
@@ -34,14 +35,11 @@ class Settings:
 
 def driven(settings: Settings, name: str) -> list[FleetEpisode]:
     """The episodes of one method."""
-    method = method_named(name)
-    policy = method.make_policy(shipped_models(settings.scenario))
-    env = CADParallelEnv(
-        scenario=settings.scenario, radio="dsrc" if method.shares else "none", traffic=settings.traffic,
-        ranges={"collaborators": (settings.collaborators, settings.collaborators)},
-    )  # fmt: skip
+    scoring = Scoring((settings.scenario,), (name,), traffic=settings.traffic, collaborators=settings.collaborators)
+    job = job_of(scoring, settings.scenario, name)
+    env = CADParallelEnv(**job.options)
     seeds = range(settings.first_seed, settings.first_seed + settings.episodes)
-    return [rollout_fleet(env, policy, seed, name) for seed in tqdm(seeds, desc=name, disable=None)]
+    return [rollout_fleet(env, job.policy, seed, name) for seed in tqdm(seeds, desc=name, disable=None)]
 
 
 def main(settings: Settings) -> str:

@@ -130,7 +130,7 @@ def test_the_same_results_give_the_same_page(tmp_path: Path) -> None:
 def test_a_point_moves_with_its_rate() -> None:
     some = few_records()
     other = [replace(record, outcome="success") for record in some]
-    pairs = zip(all_plots(scorecards(some), some), all_plots(scorecards(other), other), strict=True)
+    pairs = zip(all_plots(scorecards(some), some, {}), all_plots(scorecards(other), other, {}), strict=True)
     assert all(before.svg != after.svg for before, after in pairs)
 
 

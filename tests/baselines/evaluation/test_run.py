@@ -17,7 +17,7 @@ from baselines.evaluation.run import score
 from baselines.evaluation.settings import Settings
 from cad_env.scenarios import SCENARIOS
 from cad_env.scoring.rollout import Episode
-from cad_env.scoring.scorecard import Record, parse_record
+from cad_env.scoring.scorecard import Record, parse_record, record_of
 
 SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-shared", "--episodes", "3"]
 LONG = ["--scenario", "left_turn", "--method", "always-brake", "--episodes", "75"]
@@ -187,10 +187,9 @@ def test_an_interruption_loses_no_episode_that_has_ended(
         ended += 1
         if ended > 2:
             raise KeyboardInterrupt
-        return as_record(episode)
+        return record_of(episode)
 
-    as_record = scoring._record
-    monkeypatch.setattr(scoring, "_record", record)
+    monkeypatch.setattr(scoring, "record_of", record)
     assert run(tmp_path, *SOME) == 130
     assert len(records(tmp_path)) == 2
     monkeypatch.undo()
@@ -241,7 +240,7 @@ def test_other_settings_in_the_same_folder_are_refused_by_name(
     ("name", "text", "reason"),
     [
         ("settings.json", "{", "settings.json is damaged"),
-        ("settings.json", "[]", "another scenario"),
+        ("settings.json", "[]", "settings.json is damaged"),
         ("episodes.jsonl", '{"seed": 1}\n', "episodes.jsonl line 1: an episode's record must have the keys"),
         ("episodes.jsonl", "\x00\x00\n", "episodes.jsonl line 1: not JSON"),
     ],

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ from baselines.cli import parsed
 from baselines.evaluation.grid import Task as Episodes
 from baselines.evaluation.run import drive, identity
 from baselines.evaluation.settings import Settings
-from baselines.evaluation.store import difference, read_records
+from baselines.evaluation.store import read_records
+from baselines.folder_note import claim, difference
 from baselines.methods import LEARNED
 from baselines.paper import command as reproduce
 from baselines.paper.gathering import commands, gather
@@ -172,7 +173,7 @@ def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:
     ("arguments", "message"),
     [
         (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'"),
-        (["--method", "gta"], "unknown row 'gta'"),
+        (["--method", "gta"], "unknown method 'gta'"),
         (["--shard", "3/2"], "shard must be i/n"),
         (["--shard", "1/2", "--merge"], "leave out --shard"),
         (["--jobs", "0"], "jobs must be"),
@@ -189,8 +190,7 @@ def test_bad_input_is_one_clear_line(
 
 
 def test_a_folder_of_another_preset_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = Plan(tmp_path, PRESETS["full"], SCENES, ("always-go",))
-    reproduce.claim(plan)
+    claim(tmp_path / reproduce.NOTE, asdict(PRESETS["full"]), "use another folder")
     assert reproduce.main(["--preset", "quick", "--merge", "--out", str(tmp_path)]) == 2
     assert "holds a run with another seeds" in capsys.readouterr().err
 

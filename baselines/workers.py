@@ -1,4 +1,4 @@
-"""Processes that work for this one: they leave Ctrl-C to it, and none outlives it, however it ends."""
+"""Worker processes: they ignore Ctrl-C, and end when the process that started them ends, however that happens."""
 
 import multiprocessing
 import os
@@ -13,12 +13,12 @@ from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
 from typing import Any
 
-_told: "Queue[Any] | None" = None  # in a worker: where `tell` puts what it is progress
+_told: "Queue[Any] | None" = None  # in a worker: where `tell` puts its reports
 
 
 @contextmanager
 def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
-    """So many processes, and the queue of what their tasks `tell`; tasks under way are dropped on an exception.
+    """A pool of processes, and the queue of what their tasks `tell`. An exception stops tasks that are running.
 
     A task must be a function of a module, as for any spawned process.
     """
@@ -42,7 +42,7 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
 
 
 def registered_scenarios() -> tuple[Any, ...]:
-    """The scenarios from outside that are registered here: a task in another process may need them."""
+    """The scenarios from outside that are registered in this process: tasks in other processes may need them."""
     if "cad_env.scenarios" not in sys.modules:  # nothing has been registered, and importing it takes a second
         return ()
     from cad_env.scenarios import registered
@@ -51,7 +51,7 @@ def registered_scenarios() -> tuple[Any, ...]:
 
 
 def register_scenarios(scenarios: Sequence[Any]) -> None:
-    """The counterpart, in that process."""
+    """Register them in another process."""
     if scenarios:
         from cad_env.scenarios import register
 
@@ -60,21 +60,21 @@ def register_scenarios(scenarios: Sequence[Any]) -> None:
 
 
 def prefer_one_thread() -> None:
-    """One thread for numerics, here if torch is yet to be imported, and in processes to come; the user's wish wins.
+    """Use one thread for numerics in new processes, and in this one if torch is not imported yet.
 
-    The networks are small: a second thread waits more than it works.
+    The networks are small, so a second thread costs more than it gains. A value that the user has set is kept.
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 def tell(what: Any) -> None:
-    """Called by a task: report to the process that it works for what it has done so far."""
+    """Called by a task: report something to the process that started it."""
     if _told is not None:
         _told.put(what)
 
 
 def heard(progress: "Queue[Any]") -> list[Any]:
-    """What tasks have progress since the last time; waits a tenth of a second for the first."""
+    """What tasks have reported since the last call; waits up to a tenth of a second for the first report."""
     try:
         found = [progress.get(timeout=0.1)]
         while not progress.empty():
@@ -86,7 +86,7 @@ def heard(progress: "Queue[Any]") -> list[Any]:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """A process started in here never sees Ctrl-C; here, one that is pressed meanwhile comes afterwards."""
+    """Processes started inside never see Ctrl-C; this process gets it afterwards."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows: a worker ignores it once it has started
         yield
         return
@@ -100,8 +100,8 @@ def _interrupts_held() -> Iterator[None]:
 def _start(lifeline: Connection, progress: "Queue[Any]", scenarios: "Sequence[Any]") -> None:
     global _told
     _told = progress
-    # What nobody reads any more must not keep a worker from ending: its pipe is full after some hundred records. A
-    # task returns all that counts; what it tells is for those who cannot wait for that.
+    # Reports that nobody reads must not keep a worker from ending: its pipe is full after some hundred records. A task
+    # returns everything anyway; reports only come earlier.
     progress.cancel_join_thread()
     register_scenarios(scenarios)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -109,7 +109,7 @@ def _start(lifeline: Connection, progress: "Queue[Any]", scenarios: "Sequence[An
 
 
 def _end_with(lifeline: Connection) -> None:
-    """Nothing ever comes down the lifeline but its end, when the parent lets go of it or dies."""
+    """End this process when the other end of the lifeline is closed, which also happens when the parent dies."""
     try:
         lifeline.recv()
     except (EOFError, OSError):

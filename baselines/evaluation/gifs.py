@@ -1,4 +1,4 @@
-"""Episodes of a scoring run as GIFs: driven once more, drawn, and held to what was recorded of them."""
+"""Episodes of a scoring run as GIFs: driven again, drawn, and compared with their records."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -50,11 +50,11 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
 
 
 def _environment(settings: Settings, record: Record) -> dict[str, Any]:
-    """The options that a recorded episode was driven with, and a small picture."""
+    """The options that a recorded episode was driven with, with a small picture."""
     options = job_of(settings, record.scenario, record.method).options
     return {**options, "config": screen(scenario_named(record.scenario).map, SIZE)}
 
 
 def _policy(settings: Settings, record: Record) -> Policy:
-    """Who drove a recorded episode."""
+    """The policy of a recorded episode."""
     return job_of(settings, record.scenario, record.method).policy

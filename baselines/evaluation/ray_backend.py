@@ -13,16 +13,16 @@ Result = TypeVar("Result")
 
 
 def check_ray() -> None:
-    """ValueError, one line, where ray is not installed."""
+    """ValueError, one line, if ray is not installed."""
     if find_spec("ray") is None:
         raise ValueError("backend ray needs ray, which is not installed: pip install 'cad-env[ray]'")
 
 
 def on_ray(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> Generator[Result, None, None]:
-    """The results as they come; whatever ends the caller ends ray too, if it was started here.
+    """Yield results as they come. Ray is shut down afterwards if it was started here.
 
-    BrokenExecutor if a worker dies time and again; ray repeats a task whose worker has died. `jobs` is how many cores
-    to use of this machine; on a cluster every task takes one.
+    Ray repeats a task whose worker has died; BrokenExecutor if that happens again and again. `jobs` is the number of
+    cores to use on this machine; on a cluster every task takes one.
     """
     import ray
     from ray.exceptions import RayError, RayTaskError

@@ -68,7 +68,7 @@ def _drive_missing(settings: Settings, store: Store, advance: Callable[[int], ob
 
 
 def identity(settings: Settings) -> dict[str, Any]:
-    """All that the episodes depend on: settings, models and the code of the scenes; and the command, as a note."""
+    """Everything that the episodes depend on: settings, models, code of the scenes; with the command, as a note."""
     names = (
         "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
         "collaborators", "depth", "threshold",

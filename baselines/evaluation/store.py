@@ -35,7 +35,7 @@ class Store:
         self.records = {key_of(record): record for record in read_records(folder)}
 
     def append(self, records: Iterable[Record]) -> None:
-        """Keep episodes: when this returns they are on the disk."""
+        """Add episodes: when this returns they are on the disk."""
         records = list(records)
         with open(self.folder / EPISODES, "ab") as file:
             file.write("".join(record.line() + "\n" for record in records).encode())
@@ -44,7 +44,7 @@ class Store:
         self.records.update({key_of(record): record for record in records})
 
     def put_in_order(self, keys: Iterable[Key]) -> list[Record]:
-        """These episodes, and no others, in this order, in the file too."""
+        """Rewrite the file with these episodes only, in this order, and return them."""
         records = [self.records[key] for key in keys]
         replace_file(self.folder / EPISODES, "".join(record.line() + "\n" for record in records).encode())
         return records
@@ -128,7 +128,7 @@ def merged(merging: Merging) -> list[Scorecard]:
 
 
 def _one_run(folders: Sequence[Path]) -> dict[str, Any]:
-    """The settings that all folders agree on, but for the shard."""
+    """The settings that all folders share, without the shard."""
     settings = [{**read_settings(folder), "shard": None} for folder in folders]
     for folder, other in zip(folders, settings, strict=True):
         change = difference(settings[0], other)

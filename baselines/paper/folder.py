@@ -96,7 +96,7 @@ def _sweep(folder: Path, name: str) -> dict[str, dict[str, dict[str, dict[int, R
 
 
 def in_order(methods: Mapping[str, Any]) -> dict[str, Any]:
-    """By method, in the order of the tables; who is not in them comes last."""
+    """By method, in the order of the tables; methods that are not in them come last."""
     places = {name: place for place, name in enumerate(TABLE_ORDER)}
     return {name: methods[name] for name in sorted(methods, key=lambda name: (places.get(name, 99), name))}
 

@@ -1,4 +1,4 @@
-"""The parts of a reproduction, one a method, put side by side: the folders that its report is made of."""
+"""Joins the parts of a reproduction, one for each method, into the folders that its report is made of."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ from cad_env.scoring.scorecard import scorecards
 
 
 def gather(plan: Plan) -> int:
-    """Fill closed/ and sweeps/ with all that is finished; gives how many parts, of open loop too, are not.
+    """Fill closed/ and sweeps/ with all that is finished; returns how many parts, also of open loop, are not.
 
     ValueError for open-loop answers of another model than the one that is there now.
     """
@@ -51,7 +51,7 @@ def gather(plan: Plan) -> int:
 
 
 def _is_finished(part: Settings) -> bool:
-    """Whether all episodes are there, and of the model that is there now."""
+    """Whether all episodes are there and belong to the present model."""
     try:
         return (part.out / SCORES).exists() and not difference(read_settings(part.out), identity(part))
     except FileNotFoundError:
@@ -59,7 +59,7 @@ def _is_finished(part: Settings) -> bool:
 
 
 def commands(parts: Sequence[Settings]) -> str:
-    """What gives the episodes of these parts, a line for those that differ in nothing but the method."""
+    """The commands that give the episodes of these parts: one for all parts that differ only in the method."""
     models = next((part.models for part in parts if part.models), ())  # of one training seed; rules do not look at it
     groups: dict[Settings, list[str]] = {}
     for part in parts:

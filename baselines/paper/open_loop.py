@@ -148,7 +148,7 @@ def at_threshold(loop: OpenLoop, threshold: float) -> OpenLoop:
     episodes = []
     for episode in loop.episodes:
         if episode.brake_probability is None:
-            raise ValueError(f"{loop.method} does not say how sure it is, so no threshold can be laid on it")
+            raise ValueError(f"{loop.method} gives no P(brake), so there is nothing to compare with a threshold")
         answers = _digits((np.array(episode.brake_probability) >= threshold).astype(np.int64))
         episodes.append(replace(episode, answers=answers))
     return replace(loop, episodes=tuple(episodes))
@@ -159,12 +159,12 @@ _KEYS = tuple(field.name for field in fields(OpenEpisode))
 
 
 def open_path(folder: Path, training_seed: int, scenario: str, method: str) -> Path:
-    """Where a run keeps it."""
+    """The file of these answers in the folder of a run."""
     return folder / "open" / str(training_seed) / f"{scenario}_{method}.json"
 
 
 def write_open_loop(path: Path, found: OpenLoop) -> None:
-    """Write it whole or not at all, its folder too."""
+    """Write it, all or nothing, and make its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     episodes = ",\n".join(json.dumps(asdict(episode), allow_nan=False) for episode in found.episodes)
     head = json.dumps({name: getattr(found, name) for name in NAMES})[:-1]
@@ -172,7 +172,7 @@ def write_open_loop(path: Path, found: OpenLoop) -> None:
 
 
 def read_open_loop(path: Path) -> OpenLoop:
-    """Read it back; OSError if it is not there, ValueError, one line, if it is anything but what was written."""
+    """Read it. OSError if there is no file, ValueError, one line, if it is damaged."""
     try:
         data = json.loads(path.read_bytes())
         return _parsed(data)
@@ -182,7 +182,7 @@ def read_open_loop(path: Path) -> OpenLoop:
 
 def _parsed(data: Any) -> OpenLoop:
     if isinstance(data, dict) and "episodes" in data and "made_with" not in data:
-        raise ValueError("it does not say which model and settings it is of, as older ones do not: delete it")
+        raise ValueError("it is of an older format, without its model and settings: delete it")
     if not isinstance(data, dict) or set(data) != {*NAMES, "episodes"}:
         raise ValueError(f"it must have the keys {', '.join(NAMES)}, episodes")
     names, lines = [data[name] for name in NAMES], data["episodes"]

@@ -41,7 +41,7 @@ def _figure(width: float, height: float, columns: int, **options: Any) -> "tuple
 def safety_plot(path: Path, rows: Mapping[str, Sequence[ClosedRow]], sweeps: Mapping[str, SweepRows]) -> None:
     """One scene: success and collisions against bytes on the air, radio -> rows, and the sweeps of the graph's size.
 
-    Filled: the first radio; hollow: the others. Who puts nothing on the air stands left, and over the first radio only.
+    Filled: the first radio; hollow: the others. Methods that send nothing are on the left, for the first radio only.
     """
     first, *others = rows
     sending = {radio: [row for row in rows[radio] if row.bytes_per_second] for radio in others}
@@ -62,7 +62,7 @@ def safety_plot(path: Path, rows: Mapping[str, Sequence[ClosedRow]], sweeps: Map
 
 
 def _zone(rows: Sequence[ClosedRow], sweeps: Mapping[str, SweepRows]) -> float:
-    """B/s: left of it stands who puts nothing on the air."""
+    """B/s: methods that send nothing are left of it."""
     swept = [row for rows in sweeps.values() for some in rows.values() for row in some.values()]
     return 0.4 * min([row.bytes_per_second for row in (*rows, *swept) if row.bytes_per_second] or [1000.0])
 
@@ -82,7 +82,7 @@ def _points(axis: "Axes", rows: Sequence[ClosedRow], what: str, zone: float, rad
 
 
 def _size_line(axis: "Axes", values: SweepRows, what: str, name: str, line: str, zone: float) -> None:
-    """A sweep of the graph's size: how much it puts on the air, and how it drives."""
+    """A sweep of the graph's size: bytes per second against how it drives."""
     rows = [(value, some["stgraph"]) for value, some in values.items() if "stgraph" in some]
     if not rows:
         return
@@ -180,7 +180,7 @@ def _curve(axis: "Axes", method: str, rows: Mapping[float, ClosedRow]) -> None:
 
 
 def _places(values: Sequence[str]) -> dict[str, float]:
-    """Where each value stands: at itself if all are numbers (evenly, if they are far apart), else one after another."""
+    """The place of each value on the axis: the number itself, or evenly spaced if they are far apart or no numbers."""
     try:
         numbers = [float(value) for value in values]
     except ValueError:

@@ -1,4 +1,4 @@
-"""report.html: what a scoring run found, for people, in one file that needs nothing else and no network."""
+"""report.html: the results of a scoring run in one self-contained file."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ def _animations(folder: Path, records: Sequence[Record], knows: Mapping[str, str
 
 
 def _most_telling_first(records: Sequence[Record], knows: Mapping[str, str]) -> list[Record]:
-    """One of each kind before a second, who knows something before who does not, hazards and collisions early."""
+    """One of each kind before a second; methods that know something first, then hazards, then collisions."""
     seen: Counter[tuple[str, str, str, bool]] = Counter()
     ranks = []
     for place, record in enumerate(records):

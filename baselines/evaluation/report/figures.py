@@ -29,7 +29,7 @@ def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -
 
 
 def knowledge_of(settings: Mapping[str, Any]) -> dict[str, str]:
-    """What each method of a run knows; settings.json says it of those from outside."""
+    """What each method of a run knows; for methods from outside it is in settings.json."""
     return {
         name: METHODS[name].knows if name in METHODS else settings.get(f"knowledge of {name}", NOTHING)
         for name in settings.get("method", METHODS)
@@ -47,14 +47,14 @@ def colour(method: str, knows: Mapping[str, str]) -> str:
 
 
 def knowledge_legend(figure: Figure, methods: Iterable[str], knows: Mapping[str, str]) -> None:
-    """What the colours of these methods say, below the panels."""
+    """The legend of the colours of these methods, below the panels."""
     used = {knows.get(name, NOTHING) for name in methods}
     keys = [Line2D([], [], color=KNOWLEDGE_COLOURS[k], linewidth=3.0, label=k) for k in KNOWLEDGE if k in used]
     figure.legend(handles=keys, loc="outside lower left", ncols=len(keys), title="knows", alignment="left")
 
 
 def method_legend(figure: Figure, methods: Iterable[str], knows: Mapping[str, str]) -> None:
-    """Which point is whose, beside the panels."""
+    """The legend of the methods, beside the panels."""
     keys = [Line2D([], [], label=name, **look(name, knows)) for name in methods]
     figure.legend(handles=keys, loc="outside right center")
 

@@ -18,7 +18,7 @@ Knows = Mapping[str, str]  # method -> what it knows
 
 @dataclass(frozen=True)
 class Plot:
-    """A picture with what to say about it."""
+    """A picture with its title and caption."""
 
     title: str
     caption: str
@@ -26,7 +26,7 @@ class Plot:
 
 
 def all_plots(rows: Sequence[Scorecard], records: Sequence[Record], knows: Knows) -> list[Plot]:
-    """All plots there is something to show in."""
+    """All plots that have something to show."""
     whole = [row for row in rows if row.hazard == "all"]
     timed = [record for record in records if record.hazard and record.hazard_timing is not None]
     with styled():
@@ -75,7 +75,7 @@ def _rates(
 
 
 def radio(rows: Sequence[Scorecard], knows: Knows) -> Plot:
-    """Collision rate against the bytes per second of all senders; who sends nothing stands left of zero."""
+    """Collision rate against the bytes per second of all senders; methods that send nothing are left of zero."""
     names, scenarios = _names(rows), _scenarios(rows)
     figure, (row_of_panels,) = panels(scenarios, 1, 3.4)
     most = max(row.bytes_per_second for row in rows) / 1000
@@ -137,7 +137,7 @@ def _timing_line(axes: Axes, records: Sequence[Record], knows: Knows, edges: Flo
 
 
 def _arms(rate: float, low: float, high: float) -> list[list[float]]:
-    """What error bars want to know of an interval, in per cent."""
+    """The lengths of error bars for an interval, in per cent."""
     return [[100 * (rate - low)], [100 * (high - rate)]]
 
 

@@ -174,3 +174,12 @@ def test_the_command_animates_an_episode_of_each_kind(tmp_path: Path) -> None:
     assert evaluate.main([*some, "--out", str(tmp_path)]) == 0
     assert [path.name for path in (tmp_path / "gifs").iterdir()] == ["left_turn_always-go_collision_1000000.gif"]
     assert "left turn, always-go: collision, a hazard, seed 1000000" in Page(tmp_path / "report.html").images
+
+
+def test_the_page_says_what_a_method_from_outside_knows(tmp_path: Path) -> None:
+    name = "my_policy:Mine(seconds=1.0)"
+    records = [replace(record, method=name) for record in few_records() if record.method == "expert"]
+    settings = {**SETTINGS, "method": [name], f"knowledge of {name}": "what it sees"}
+    (tmp_path / "settings.json").write_text(json.dumps(settings))
+    (tmp_path / "episodes.jsonl").write_text("".join(record.line() + "\n" for record in records))
+    assert "knows what it sees" in Page(write_report(tmp_path)).text

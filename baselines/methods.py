@@ -12,6 +12,7 @@ from cad_env.types import BRAKE, FRAMES, GO, Policy
 if TYPE_CHECKING:
     from policies.model_folder import SavedModel
 
+EXPERT = "expert"
 MODEL_FILES = ("model.safetensors", "config.json")
 NOTHING, SEEN, SENT, TRUTH = KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")
 
@@ -91,7 +92,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             Method("always-brake", NOTHING, lambda _: Always(BRAKE)),
             Method("planner-own", SEEN, _planner),
             Method("planner-shared", SENT, _planner),
-            Method("expert", TRUTH, _expert),
+            Method(EXPERT, TRUTH, _expert),
             *(_learned(row) for row in LEARNED.values()),
             Method("cautious-own", SEEN, _cautious),
             _learned(LearnedMethod("ppo")),  # learns by reward, and not as the rows do

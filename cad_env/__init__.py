@@ -15,6 +15,7 @@ runs this once for every connected vehicle. No learning here, and no torch: netw
 """
 
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -29,13 +30,15 @@ if TYPE_CHECKING:
     from cad_env.envs.vector import CADVectorEnv
     from cad_env.lidar.config import CloudConfig
     from cad_env.pipeline.varint import DecodeError
+    from cad_env.scenarios import register
+    from cad_env.scenarios.scenario import Scenario
     from cad_env.scoring.rollout import Episode, rollout, rollouts
     from cad_env.simulation.graph_exchange import GraphCodec
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
-    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "SensorConfig", "StepOutcome", "parallel_env", "rollout",
-    "rollouts",
+    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "Scenario", "SensorConfig", "StepOutcome", "parallel_env",
+    "register", "rollout", "rollouts",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -48,7 +51,9 @@ _LAZY = {
     "DecodeError": "cad_env.pipeline.varint",
     "Episode": "cad_env.scoring.rollout",
     "GraphCodec": "cad_env.simulation.graph_exchange",
+    "Scenario": "cad_env.scenarios.scenario",
     "StepOutcome": "cad_env.envs.rewards",
+    "register": "cad_env.scenarios",
     "rollout": "cad_env.scoring.rollout",
     "rollouts": "cad_env.scoring.rollout",
 }
@@ -65,11 +70,18 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_LAZY})
 
 
-# Ids by name, not by import, so that `import cad_env` stays instant.
+def _id_of(scenario: str) -> str:
+    """highway_merge -> CADHighwayMerge-v0."""
+    return f"CAD{scenario.title().replace('_', '')}-v0"
+
+
+# Ids by name, not by import, so that `import cad_env` stays instant: of installed packages only the metadata is read.
 _IDS = {
+    "CADScenario-v0": None,  # any, as the keyword argument `scenario`
     "CADLeftTurn-v0": "left_turn",
     "CADOvertaking-v0": "overtaking",
     "CADStreetCrossing-v0": "street_crossing",
+    **{_id_of(entry.name): entry.name for entry in entry_points(group="cad_env.scenarios")},
 }
 for _id, _scenario in _IDS.items():
     if _id not in gym.registry:
@@ -81,8 +93,10 @@ for _id, _scenario in _IDS.items():
         )
 
 
-def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> "CADParallelEnv":
-    """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
+def parallel_env(
+    env_id: "str | Scenario" = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any
+) -> "CADParallelEnv":
+    """The PettingZoo environment of an id or of a scenario, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
     from cad_env.envs.parallel import parallel_env as make
 
     return make(env_id, render_mode, **options)

@@ -20,7 +20,7 @@ from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import EGO_SEES, OTHERS_SEE, SEEN_COLOURS, Layer, who_sees
 from cad_env.rendering.viewer import picture
 from cad_env.rules.planner import Planner
-from cad_env.scenarios import SCENARIOS, scenario_named
+from cad_env.scenarios import SHIPPED, scenario_named
 from cad_env.scoring.rollout import rollout
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, COLLISION, SUCCESS, Image
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def written(folder: Path) -> Iterator[Path]:
     """Write every picture of the gallery, and yield where each is."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in SCENARIOS:
+    for name in SHIPPED:
         yield write_drawing(name, folder)
     yield write_comparison("left_turn", folder)
 

@@ -17,8 +17,9 @@ from baselines.evaluation.ray_backend import on_ray
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.evaluation.store import NOTES, Store, key_of
 from baselines.methods import MODEL_FILES, method_named
-from baselines.workers import heard, prefer_one_thread, tell, workers
+from baselines.workers import heard, knowing, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.scenarios.registry import outside_sources
 from cad_env.scoring.rollout import BatchPolicy, Episode, rollouts
 from cad_env.scoring.scorecard import Record, Scorecard, scorecards
 from cad_env.version import version
@@ -84,6 +85,7 @@ def identity(settings: Settings) -> dict[str, Any]:
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
         **{f"model of {name}": _digest(settings, model) for name, model in models.items() if model},
         "version of cad_env": version(),
+        **{what: digest for name in settings.scenarios() for what, digest in outside_sources(name).items()},
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
     }
@@ -135,7 +137,7 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
     """Records as episodes end; some come twice."""
     work = partial(_drive_and_tell, settings)
     if settings.backend == "ray" and tasks:
-        yield from on_ray(work, tasks, settings.jobs)
+        yield from on_ray(knowing(work), tasks, settings.jobs)
     elif settings.jobs == 1 or len(tasks) <= 1:
         for task in tasks:
             for record in drive(settings, task):

@@ -63,14 +63,14 @@ def plan_of(settings: ReproduceSettings) -> Any:
     """What to do; ValueError for rows or shards that do not exist."""
     from baselines.evaluation.grid import shard_of
     from baselines.paper.tasks import Plan, in_table
-    from cad_env.scenarios import SCENARIOS
+    from cad_env.scenarios import SHIPPED
 
     if settings.shard is not None:
         shard_of(settings.shard)
     if unknown := [name for name in settings.method if name not in in_table()]:
         raise ValueError(f"unknown row {unknown[0]!r}: choose among {', '.join(in_table())}")
     rows = tuple(name for name in in_table() if not settings.method or name in settings.method)
-    return Plan(settings.out, PRESETS[settings.preset], tuple(SCENARIOS), rows)
+    return Plan(settings.out, PRESETS[settings.preset], SHIPPED, rows)
 
 
 def claim(plan: Any) -> None:

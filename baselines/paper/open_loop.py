@@ -18,7 +18,7 @@ from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.methods import Method
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.rules.expert import Expert
+from cad_env.rules.expert import expert_of
 from cad_env.scoring.rollout import BatchPolicy, rollouts
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, Floats, Ints, Observation, Policy
@@ -102,7 +102,8 @@ def _asked(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], hazard: boo
         else:
             seen[simulation.seed].append(observation)
 
-    driven = {episode.seed: episode for episode in rollouts(envs, Expert(), seeds, hazard=hazard, watch=watch)}
+    expert = expert_of(envs.batch.simulations[0].scenario)
+    driven = {episode.seed: episode for episode in rollouts(envs, expert, seeds, hazard=hazard, watch=watch)}
     found = []
     for seed in seeds:
         episode = driven[seed]

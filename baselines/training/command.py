@@ -27,7 +27,7 @@ RULES = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")
 class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
-    scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
+    scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, module:attribute, or all that ship
     method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/learned.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
@@ -56,7 +56,7 @@ class TrainSettings:
 
     def folder(self) -> Path:
         """Where everything goes."""
-        return self.out or Path("runs") / "+".join(self.scenario)
+        return self.out or Path("runs") / "+".join(name.rpartition(":")[-1] for name in self.scenario)
 
     def models(self, seed: int) -> Path:
         """The folder of the models of a training seed."""
@@ -64,9 +64,9 @@ class TrainSettings:
 
     def scenarios(self) -> tuple[str, ...]:
         """What the networks learn, in the same order however it was asked for; ValueError for what does not exist."""
-        from cad_env.scenarios import SCENARIOS, scenario_named
+        from cad_env.scenarios import SCENARIOS, SHIPPED, scenario_named
 
-        chosen = [scenario_named(name).name for name in (SCENARIOS if self.scenario == ALL else self.scenario)]
+        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ALL else self.scenario)]
         return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
     def budget(self) -> Budget:

@@ -29,7 +29,7 @@ _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "de
 class CADEnv(AbstractEnv):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
-    Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
+    Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset name, RadioConfig or
     dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud` (CloudConfig or dict:
     points are shared, not graphs), `traffic` (none, light or dense), `penetration` (share of the vehicles that is
     connected, None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists` (True adds to info
@@ -80,7 +80,8 @@ class CADEnv(AbstractEnv):
         if "layers" in given:
             given["layers"] = checked_layers(given["layers"])
         if "scenario" in given:
-            given = {**screen(scenario_named(given["scenario"]).map), **given}
+            scenario = scenario_named(given["scenario"])
+            given = {**screen(scenario.map), **given, "scenario": scenario.name}
         setup = setup_from({k: v for k, v in {**self.config, **given}.items() if k in _SETUP})
         if hasattr(self, "simulation") and self.simulation.setup.cloud != setup.cloud:
             raise ValueError(f"cloud is a part of the observation and cannot change later, got {setup.cloud!r}")

@@ -1,4 +1,4 @@
-"""A scenario is a map, its routes, a actors and the traffic around it, each drawn from a stream of chance of its own."""
+"""A scenario is a map, its routes, its actors and the traffic around them, each drawn from a stream of chance of its own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -13,7 +13,11 @@ from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
 from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows
+from cad_env.types import Command, Policy
 from cad_env.world.state import Routes
+
+
+MOST_COMMANDS = 127  # a map keeps them as int8
 
 
 @dataclass(frozen=True, eq=False)  # compared and hashed as the one object it is
@@ -52,6 +56,24 @@ class Scenario:
     plans: tuple[RoutePlan, ...]
     actors: Callable[[Map, Any, np.random.Generator, bool], Actors] = field(repr=False)
     background: Callable[[Map, Actors, np.random.Generator], Groups] = field(repr=False)
+    # Who knows the truth and shows how to drive: privileged and without memory. None: cad_env.rules.expert.Expert.
+    expert: Callable[[], Policy] | None = field(default=None, repr=False)
+    commands: tuple[str, ...] = ()  # names of what routes ask beyond the six of `Command`; the numbers go on from there
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+        object.__setattr__(self, "plans", tuple(self.plans))
+        object.__setattr__(self, "commands", tuple(self.commands))
+        _check_commands(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Scenario":
+        """Itself: nothing in it ever changes. Gymnasium copies the arguments of its environments."""
+        return self
+
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """Of all that its routes may ask, by number, as the one-hot of an observation has them."""
+        return (*(command.name.lower() for command in Command), *self.commands)
 
     @property
     def map(self) -> Map:
@@ -86,6 +108,30 @@ class Scenario:
             return 1 + int(ranges.collaborators[1])
         actors = self.actors(self.map, ranges, generator(0, "traffic"), True)
         return len(actors.vehicles) - 1 + DENSITIES[traffic.density][1]
+
+
+def _check_name(name: Any) -> None:
+    """A name is part of folders, of command lines and of Python."""
+    if not isinstance(name, str) or not name.isidentifier() or name == "all":
+        raise ValueError(f"the name of a scenario must be an identifier like highway_merge, got {name!r}")
+
+
+def _check_commands(scenario: Scenario) -> None:
+    """Refuse what an observation has no place for: compiled code would write beyond it."""
+    names = scenario.command_names
+    if any(not isinstance(name, str) or not name.isidentifier() for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"commands of {scenario.name!r} must be identifiers, each once, got {scenario.commands!r}")
+    if len(names) > MOST_COMMANDS:
+        raise ValueError(f"{scenario.name!r} must have at most {MOST_COMMANDS} commands in all, got {len(names)}")
+    for plan in scenario.plans:
+        if len(plan.commands) != len(plan.lanes):
+            raise ValueError(f"route {plan.name!r} must have a command for each of its lanes, got {plan.commands!r}")
+        for command in plan.commands:
+            if isinstance(command, bool) or not isinstance(command, int) or not 0 <= command < len(names):
+                raise ValueError(
+                    f"route {plan.name!r} of {scenario.name!r} asks for command {command!r}: "
+                    f"choose among 0 to {len(names) - 1} ({', '.join(names)})"
+                )
 
 
 @cache

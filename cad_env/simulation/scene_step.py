@@ -4,6 +4,7 @@ Every environment steps its scenes by `play`. It takes them from the records of 
 vehicles, and a call from Python costs next to nothing however many arrays a scene has.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,7 +20,7 @@ from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
 from cad_env.types import COLLISION, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
-from cad_env.world.state import Routes, World, empty_routes, empty_world
+from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance
 from cad_env.world.time_to_contact import time_to_contact
 
@@ -86,6 +87,11 @@ class BatchState:
     def clouds_at(self, place: int) -> CloudView | None:
         """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
         return self.clouds and CloudView(*(part[place] for part in self.clouds))
+
+    def truth_at(self, place: int) -> Truth:
+        """What the ego of the scene at `place` would know if it saw everything."""
+        scene = self._scenes[place]
+        return Truth(scene.world, scene.routes, int(scene.fleet.rows[0]))
 
     def put(self, place: int, scene: SceneState) -> None:
         """Let a new scene take a place."""
@@ -192,3 +198,8 @@ class Truths:
 
     batch_state: BatchState
     which: Ints  # (n,)
+
+    def each(self) -> Iterator[Truth]:
+        """The truth of one scene after another, for rules that are not compiled."""
+        for place in self.which.tolist():
+            yield self.batch_state.truth_at(place)

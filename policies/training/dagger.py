@@ -17,7 +17,7 @@ from torch import nn
 
 from cad_env.config import check_range, radio_config
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.scenarios import SCENARIOS, scenario_named
+from cad_env.scenarios import SHIPPED, scenario_named
 from cad_env.types import FRAMES
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.registry import spec_named
@@ -46,7 +46,7 @@ Advance = Callable[[float], object]
 class Course:
     """How one network is trained. Episodes are counted per scenario."""
 
-    scenarios: tuple[str, ...] = tuple(SCENARIOS)
+    scenarios: tuple[str, ...] = SHIPPED
     radio: str = "dsrc"  # none: trained, as it will be run, without sharing
     depth: int = FRAMES  # newest frames in a message
     seed: int = 0

@@ -19,7 +19,7 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import Tensor, nn
 
 from cad_env.config import check_range, radio_config
-from cad_env.scenarios import SCENARIOS, scenario_named
+from cad_env.scenarios import SHIPPED, scenario_named
 from policies.layers import Linear
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.stgraph.compiled.module import fused_embedding
@@ -73,7 +73,7 @@ def train_ppo(
     folder: Path,
     steps: int,
     seed: int = 0,
-    scenarios: Sequence[str] = tuple(SCENARIOS),
+    scenarios: Sequence[str] = SHIPPED,
     advance: Callable[[float], object] = lambda done: None,
     config: PpoConfig | None = None,
 ) -> None:

@@ -4,14 +4,13 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
-from scenes import Steady, started
+from scenes import Steady, forget, started
 
-import cad_env.scenarios
+import cad_env
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.rules.expert import Expert
@@ -35,10 +34,9 @@ DENSITY = pytest.mark.parametrize("density", DENSITIES)
 
 @pytest.fixture(scope="module", autouse=True)
 def _known() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        known = MappingProxyType({**cad_env.scenarios.SCENARIOS, NAME: HIGHWAY_MERGE})
-        patch.setattr(cad_env.scenarios, "SCENARIOS", known)
-        yield
+    cad_env.register(HIGHWAY_MERGE)
+    yield
+    forget(HIGHWAY_MERGE)
 
 
 class Blind:

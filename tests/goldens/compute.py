@@ -20,7 +20,7 @@ import torch
 import evaluate
 from cad_env.envs.single import CADEnv
 from cad_env.lidar.config import CloudConfig
-from cad_env.scenarios import SCENARIOS
+from cad_env.scenarios import SHIPPED as SCENARIOS
 from policies.registry import spec_named
 from policies.training import ppo
 from policies.training.cloning import Recipe

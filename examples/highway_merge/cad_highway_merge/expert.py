@@ -50,9 +50,7 @@ class MergeExpert:
 
     def act_batch(self, observations: Truths) -> Ints:
         """GO or BRAKE, (n,), in n scenes."""
-        # The board keeps its scenes to itself; the compiled rules, which need no list of them, are all it offers.
-        scenes = [observations.board._scenes[place] for place in observations.which.tolist()]
-        return np.array([self._decide(each.world, each.routes, int(each.fleet.rows[0])) for each in scenes], np.int64)
+        return np.array([self.act(truth) for truth in observations.each()], np.int64)
 
     def _decide(self, world: World, routes: Routes, row: int) -> int:
         here, rule = float(world.progress[row]), self.config

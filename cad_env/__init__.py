@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
-    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "Scenario", "SensorConfig", "StepOutcome", "parallel_env",
-    "register", "rollout", "rollouts",
+    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "Scenario", "SensorConfig", "StepOutcome",
+    "parallel_env", "register", "rollout", "rollouts",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

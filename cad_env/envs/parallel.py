@@ -70,7 +70,8 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         self.max_cycles = max_cycles
         most = self.simulation.scenario.most_connected(self.simulation.ranges, self.simulation.traffic)
         self.possible_agents = [f"cav_{k}" for k in range(most)]
-        self.observation_spaces = {agent: observation_space() for agent in self.possible_agents}
+        commands = self.simulation.scenario.command_count
+        self.observation_spaces = {agent: observation_space(commands) for agent in self.possible_agents}
         self.action_spaces = {agent: spaces.Discrete(2) for agent in self.possible_agents}
         self.state_space = global_state_space()
         self.agents: list[str] = []

@@ -59,7 +59,9 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
             raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]
         self.batch = SceneBatch([setups[place % len(setups)] for place in range(num_envs)])
-        self.single_observation_space: spaces.Dict = space_with(setups[0].cloud)
+        self.single_observation_space: spaces.Dict = space_with(
+            setups[0].cloud, self.batch.simulations[0].scenario.command_count
+        )
         self.single_action_space: spaces.Discrete = spaces.Discrete(2)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

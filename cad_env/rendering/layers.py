@@ -12,7 +12,7 @@ from cad_env.rendering.bodies import crossed, draw_body, draw_burst
 from cad_env.rendering.canvas import BLACK, PANEL, WHITE, Canvas, Colour, Tag
 from cad_env.rendering.sight import corners, in_sight
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import BRAKE, COLLISION, SUCCESS, TIMEOUT, Bools, Command, Graph, Ints
+from cad_env.types import BRAKE, COLLISION, SUCCESS, TIMEOUT, Bools, Graph, Ints
 from cad_env.world.state import OFF
 
 # Who sees a vehicle. Okabe and Ito's colours (2008), told apart by all kinds of colour vision.
@@ -109,7 +109,8 @@ def outcome(simulation: Simulation, canvas: Canvas) -> None:
     _dot_way(simulation, canvas, ego)
     decision, colour = DECISIONS[int(world.command[ego, -1] == BRAKE)]
     x = canvas.note(10, 20, Tag(decision, colour, size=18))
-    command = Command(int(np.argmax(simulation.fleet.views.command[0]))).name.replace("_", " ").lower()
+    number = int(np.argmax(simulation.fleet.views.command[0]))
+    command = simulation.scenario.command_names[number].replace("_", " ")
     for text in (f"{world.speed[ego]:.1f} m/s", f"{simulation.time:.1f} s", command):
         x = canvas.note(x + 6, 20, Tag(text, size=14))
     end = simulation.outcome()

@@ -1,7 +1,7 @@
 """Scenarios by name: those that ship, those that were registered, and those that installed packages bring."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -15,6 +15,7 @@ from cad_env.scenarios.left_turn import LEFT_TURN
 from cad_env.scenarios.overtaking import OVERTAKING
 from cad_env.scenarios.scenario import Scenario
 from cad_env.scenarios.street_crossing import STREET_CROSSING
+from cad_env.types import COMMANDS
 from cad_env.version import PACKAGE, code_digest
 
 GROUP = "cad_env.scenarios"  # entry points of installed packages: a scenario each, under its own name
@@ -74,6 +75,15 @@ def scenario_of_id(gym_id: str) -> Scenario:
         ids = [spec.id for spec in gym.registry.values() if spec.entry_point == ENVIRONMENT and spec.kwargs["scenario"]]
         raise ValueError(f"unknown environment {gym_id!r}: choose among {', '.join(ids)}")
     return scenario_named(scenario)
+
+
+def commands_of(names: Iterable[str]) -> int:
+    """How many commands some scenarios have; ValueError, one line, if their observations would not be of one shape."""
+    counts = {name: scenario_named(name).command_count for name in names}
+    if len(set(counts.values())) > 1:
+        said = ", ".join(f"{name} {count}" for name, count in counts.items())
+        raise ValueError(f"scenarios side by side must have equally many commands, got {said}")
+    return next(iter(counts.values()), COMMANDS)
 
 
 def outside() -> tuple[str | Scenario, ...]:

@@ -1,4 +1,4 @@
-"""A scenario is a map, its routes, its actors and the traffic around them, each drawn from a stream of chance of its own."""
+"""A scenario is a map, its routes, its actors and the traffic around them, each drawn from its own stream of chance."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -13,11 +13,8 @@ from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
 from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows
-from cad_env.types import Command, Policy
+from cad_env.types import COMMANDS, MOST_COMMANDS, Command, Policy
 from cad_env.world.state import Routes
-
-
-MOST_COMMANDS = 127  # a map keeps them as int8
 
 
 @dataclass(frozen=True, eq=False)  # compared and hashed as the one object it is
@@ -74,6 +71,11 @@ class Scenario:
     def command_names(self) -> tuple[str, ...]:
         """Of all that its routes may ask, by number, as the one-hot of an observation has them."""
         return (*(command.name.lower() for command in Command), *self.commands)
+
+    @property
+    def command_count(self) -> int:
+        """C, how many these are."""
+        return COMMANDS + len(self.commands)
 
     @property
     def map(self) -> Map:

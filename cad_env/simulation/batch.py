@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cad_env.lidar.config import CloudConfig
+from cad_env.scenarios.registry import commands_of
 from cad_env.simulation.cloud_exchange import exchange
 from cad_env.simulation.scene_step import OUTCOME_BY_CODE, BatchState, Truths, play
 from cad_env.simulation.setup import Setup
@@ -21,7 +22,7 @@ class SceneBatch:
 
     def __init__(self, setups: Sequence[Setup]) -> None:
         self.batch_state = BatchState(
-            len(setups), _one_cloud(setups)
+            len(setups), _one_cloud(setups), commands_of(setup.scenario for setup in setups)
         )  # for compiled loops of one's own: `cad_env.simulation.scene_step.scene_at`
         self.simulations = [Simulation(setup, self.batch_state, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes

@@ -19,7 +19,7 @@ from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
-from cad_env.types import COLLISION, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
+from cad_env.types import COLLISION, COMMANDS, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance
 from cad_env.world.time_to_contact import time_to_contact
@@ -68,9 +68,9 @@ class SceneState(NamedTuple):
 class BatchState:
     """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
 
-    def __init__(self, places: int, cloud: CloudConfig | None = None) -> None:
+    def __init__(self, places: int, cloud: CloudConfig | None = None, commands: int = COMMANDS) -> None:
         self.step_info = _no_step_info(places)
-        self.views: View = empty_view(places, 1)  # what each ego decides on
+        self.views: View = empty_view(places, 1, commands=commands)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
         self.rooms: list[Bytes] = []  # scratch: for clouds before they are encoded
         self._scenes: dict[int, SceneState] = {}  # whose arrays the records borrows

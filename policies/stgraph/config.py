@@ -3,10 +3,13 @@
 from dataclasses import dataclass
 
 from cad_env.config import check_range
+from cad_env.types import COMMANDS, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
-_SIZES = {"hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
+_SIZES = {"hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024,
+          "commands": MOST_COMMANDS}  # fmt: skip
+_LEAST = {"commands": COMMANDS}
 _SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
 
 
@@ -30,6 +33,7 @@ class StGraphConfig:
     layers: int = 2
     mlp_width: int = 16  # not stated in the paper
     position_scale: float = 1 / 50  # 1/m; the paper feeds metres into exp()
+    commands: int = COMMANDS  # of the scenarios it drives in
 
     # The letter of the paper, where it hinders learning or leaves a choice.
     attn_slope: float = 0.2  # LeakyReLU of the attention score; 0 is the paper's ReLU, where most scores tie at 0
@@ -49,9 +53,9 @@ class StGraphConfig:
 
     def __post_init__(self) -> None:
         for name, most in _SIZES.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
-                raise ValueError(f"network {name} must be a whole number from 1 to {most}, got {value!r}")
+            value, least = getattr(self, name), _LEAST.get(name, 1)
+            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+                raise ValueError(f"network {name} must be a whole number from {least} to {most}, got {value!r}")
         for name in _SWITCHES:
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"network {name} must be True or False, got {getattr(self, name)!r}")

@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from cad_env.types import Command
 from policies.layers import Linear, uniform
 from policies.stgraph.config import StGraphConfig
 from policies.stgraph.features import Relation, ego_speed, scene
@@ -155,13 +154,13 @@ class StGraphNet(nn.Module):
                 for depth in range(config.layers - 1):
                     self.importance[str(depth)] = Importance(joined, rng)
             self.importance[str(config.layers - 1)] = Importance(config.head_width, rng)
-        told = config.head_width + len(Command) + config.ego_speed
+        told = config.head_width + config.commands + config.ego_speed
         self.decide = nn.Sequential(
             Linear(told, wide, rng), nn.ReLU(), Linear(wide, wide, rng), nn.ReLU(), Linear(wide, 2, rng)
         )
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """Logits (B, 2) for `tracks` (B, K, T, 3) m, `mask` (B, K, T), `command` (B, 6); options read `ego`, `kind`."""
+        """Logits (B, 2) for `tracks` (B, K, T, 3) m, `mask` (B, K, T), `command` (B, C); options read `ego`, `kind`."""
         embedded = self.embed(observation)
         told = [embedded, observation["command"].to(embedded.dtype)]
         if self.config.ego_speed:

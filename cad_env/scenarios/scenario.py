@@ -147,6 +147,10 @@ def _taken(groups: Groups, count: int, rng: np.random.Generator) -> list[Placeme
     left = [list(group) for group in groups if group]
     chosen: list[Placement] = []
     while len(chosen) < count:
+        if not left:
+            raise ValueError(
+                f"the background of a scenario must offer more vehicles: {count} are wanted, {len(chosen)} there"
+            )
         group = left[int(rng.integers(len(left)))]
         chosen.append(group.pop(0))
         left = [group for group in left if group]

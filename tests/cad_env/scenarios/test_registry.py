@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -204,3 +205,50 @@ def test_an_expert_that_is_not_privileged_is_refused():
 
     with pytest.raises(ValueError, match="the expert of 'own_turn' must be privileged"):
         expert_of(replace(OWN, expert=Blind))
+
+
+def asking(command: object) -> tuple:
+    first, *others = LEFT_TURN.plans
+    return (replace(first, commands=(command, *first.commands[1:])), *others)
+
+
+def test_further_commands_follow_the_six():
+    own = replace(OWN, commands=("reverse", "park"), plans=asking(7))
+    assert own.command_names[5:] == ("change_right", "reverse", "park")
+    env = CADEnv(scenario=own)
+    observation, _ = env.reset(seed=1)
+    assert observation["command"].tolist() == [0] * 7 + [1]
+    assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"plans": asking(6)}, "route 'south_left' of 'own_turn' asks for command 6: choose among 0 to 5"),
+        ({"plans": asking(-1)}, "asks for command -1"),
+        ({"plans": asking("merge")}, "asks for command 'merge'"),
+        ({"plans": asking(True)}, "asks for command True"),
+        ({"plans": asking(8), "commands": ("reverse", "park")}, "choose among 0 to 7 (follow_lane, turn_left"),
+        ({"plans": (replace(LEFT_TURN.plans[0], commands=(0, 0)),)}, "must have a command for each of its lanes"),
+        ({"commands": ("park", "park")}, "commands of 'own_turn' must be identifiers, each once"),
+        ({"commands": ("turn_left",)}, "must be identifiers, each once"),
+        ({"commands": ("turn around",)}, "must be identifiers, each once"),
+        ({"commands": (3,)}, "must be identifiers, each once"),
+        ({"commands": tuple(f"c{k}" for k in range(122))}, "at most 127 commands in all, got 128"),
+    ],
+)
+def test_commands_that_an_observation_has_no_place_for_are_refused(changes: dict, complaint: str):
+    with pytest.raises(ValueError, match=re.escape(complaint)) as refusal:
+        replace(OWN, **changes)
+    assert "\n" not in str(refusal.value)
+
+
+def test_scenes_side_by_side_have_equally_many_commands():
+    with pytest.raises(ValueError, match="must have equally many commands, got own_turn 7, left_turn 6"):
+        CADVectorEnv(2, scenario=[replace(OWN, commands=("park",)), "left_turn"])
+
+
+def test_a_background_that_is_too_small_is_refused():
+    env = CADEnv(scenario=replace(OWN, background=lambda *given: []))
+    with pytest.raises(ValueError, match="the background of a scenario must offer more vehicles"):
+        env.reset(seed=1)

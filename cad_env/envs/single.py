@@ -33,9 +33,10 @@ class CADEnv(AbstractEnv):
     name, RadioConfig or dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud`
     (CloudConfig or dict: points are shared, not graphs), `traffic` (none, light or dense), `penetration` (share of the
     vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists`
-    (True adds to info what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's view), `share` and
-    `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step, cad_env.envs.rewards). By default the
-    reward of a step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
+    (True adds to info what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's
+    view), `share` and `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step,
+    cad_env.envs.rewards). By default the reward of a step is the share of the way to the goal covered in it, +1 on
+    arrival, -1 on a collision.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})

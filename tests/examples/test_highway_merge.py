@@ -347,7 +347,7 @@ def test_demonstrations_are_its_expert_s_and_marked_with_its_source(tmp_path: Pa
 def test_every_network_learns_it_for_a_moment_and_drives(spec: str, tmp_path: Path):
     config = spec_named(spec).config_type()
     course = Course(
-        scenarios=(NAME,), radio="ideal", episodes=2, dagger_rounds=1, dagger_episodes=1, steps=6, segments=2,
+        scenarios=(NAME,), radio="ideal", episodes=8, dagger_rounds=1, dagger_episodes=1, steps=6, segments=2,
         validation=1, final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=8), spec=spec, network=config,
     )  # fmt: skip
     assert (config.commands, course.network.commands) == (6, 7)

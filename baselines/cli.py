@@ -1,18 +1,16 @@
-"""TODO."""
+"""What all commands share: reading the command line, progress, and how they end."""
 
 import contextlib
 import io
+import math
 import re
 import sys
+import time
 from collections.abc import Sequence
 from itertools import groupby
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import tyro
-
-if TYPE_CHECKING:
-    pass
-
 
 INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
 
@@ -40,15 +38,15 @@ def _first_part(box: str, kind: str) -> str:
 
 
 def stopped(error: BaseException, where: str = "") -> int:
-    """Say in one line how to go on with a command that was interrupted or lost a process; its exit code."""
+    """Print how to resume; return the exit code."""
     interrupted = isinstance(error, KeyboardInterrupt)
     how = "stopped" if interrupted else "error: a worker process died"
-    print(f"{how}{where}; the same command goes on from there", file=sys.stderr)
+    print(f"{how}{where}; run the same command to resume", file=sys.stderr)
     return INTERRUPTED if interrupted else 1
 
 
 def refused(error: Exception) -> int:
-    """Say in one line why a command is not carried out; its exit code."""
+    """Print in one line why a command is refused; return the exit code."""
     reason = str(error)
     if isinstance(error, OSError) and error.filename is not None:
         reason = f"{error.filename}: {error.strerror}"
@@ -56,4 +54,47 @@ def refused(error: Exception) -> int:
     return 2
 
 
+EVERY = 30.0  # s between two lines of progress without a terminal
 BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+
+
+class Progress:
+    """How far a command is: a bar on a terminal, else a line on standard error every 30 s."""
+
+    def __init__(self, total: float, what: str, done: float = 0.0) -> None:
+        from tqdm import tqdm  # here, so that --help is quick
+
+        self._total, self._what, self._done = total, what, done
+        self._begun = self._said = time.monotonic()
+        self._first = done
+        terminal = sys.stderr.isatty()
+        self._bar = tqdm(total=total, initial=done, desc=what, bar_format=BAR, disable=not terminal)
+        self._silent = terminal
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+    def update(self, done: float) -> None:
+        """So much more has been done."""
+        self._done += done
+        self._bar.update(done)
+        now = time.monotonic()
+        if not self._silent and now - self._said >= EVERY:
+            self._said = now
+            print(self._line(now), file=sys.stderr, flush=True)
+
+    def describe(self, what: str) -> None:
+        """Another stage begins."""
+        self._what = what
+        self._bar.set_description(what)
+
+    def _line(self, now: float) -> str:
+        """E.g. `training 42 %, about 3 min left`."""
+        share = min(self._done / self._total, 1.0) if self._total else 1.0
+        here = self._done - self._first
+        rest = (self._total - self._done) * (now - self._begun) / here if here > 0.0 else math.inf
+        left = f", about {math.ceil(rest / 60):.0f} min left" if rest < math.inf else ""
+        return f"{self._what} {100 * share:.0f} %{left}"

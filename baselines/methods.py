@@ -1,20 +1,83 @@
-"""name -> (what is shared, who decides): the rows of the results table."""
+"""The lines of the results table: what each method knows, who decides, and how it is learned.
 
+Names in brackets are the paper's. A method from outside is named `module:attribute` or
+`module:factory(argument=value)`: a policy, or a network spec that is trained first (`baselines.references`).
+"""
+
+import difflib
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from baselines.learned import LEARNED, LearnedMethod
+from baselines.references import is_reference, resolved
 from cad_env.types import BRAKE, FRAMES, GO, Policy
 
-if TYPE_CHECKING:
-    from policies.model_folder import SavedModel
-
-EXPERT = "expert"
-MODEL_FILES = ("model.safetensors", "config.json")
 NOTHING, SEEN, SENT, TRUTH = KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")
+SHARED = ("nothing", "graph", "points", "features")
+
+
+@dataclass(frozen=True)
+class LearnedMethod:
+    """A learned method."""
+
+    name: str
+    spec: str = "stgraph"  # by its name in policies.registry
+    config: Mapping[str, Any] = field(default_factory=dict)  # knobs of its network, where they differ from the default
+    shares: str = "graph"  # one of SHARED
+    depth: int = FRAMES  # newest frames in a message
+    dagger_rounds: int | None = None  # DAgger rounds; None: as many as a run is asked for
+    radio: str | None = None  # what it is trained on; None: what a run is asked for
+    recipe: Mapping[str, Any] = field(default_factory=dict)  # of policies.training.cloning.Recipe, where it differs
+    pace: float = 1.0  # optimiser steps, as a share of those that a run is asked for
+    most_validated: int | None = None  # episodes after each third of a round, however many a run is asked for
+    cost: float = 1.0  # of a frame, driven or learned from, where that of a graph is 1: for an honest progress bar
+
+    @property
+    def model(self) -> str:
+        """The folder of its model among the models of a training seed."""
+        return folder_of(self.name)
+
+    @property
+    def blind(self) -> bool:
+        """Whether it sees nothing at all."""
+        return self.spec == "command"
+
+
+# A frame of points costs ten times that of a graph, so their batches are smaller.
+POINTS, FEATURES = {"batch": 48, "learning_rate": 1.5e-3}, {"batch": 64, "learning_rate": 5e-3}
+
+_LEARNED = (
+    LearnedMethod("stgraph"),  # the paper's "Ours"; clones, and then corrects
+    LearnedMethod("stgraph-own", shares="nothing"),  # [T-NS]
+    LearnedMethod("command-only", "command", shares="nothing"),
+    LearnedMethod("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]
+    LearnedMethod("collab-gat", config={"temporal": False}, depth=1),  # [Collab-GAT, NT-S]
+    # What these two send is more than dsrc lets a vehicle send, so they learn over a radio that carries it.
+    # Their episodes are the dearest, so fewer validate them.
+    LearnedMethod(
+        "raw-points", "point_transformer", shares="points", radio="ideal", recipe=POINTS, pace=0.5, most_validated=24,
+        cost=12.0,
+    ),
+    LearnedMethod(
+        "compressed", "compressed", shares="features", radio="cv2x", recipe=FEATURES, pace=0.5, most_validated=24,
+        cost=12.0,
+    ),
+    LearnedMethod("stgraph-no-edges", config={"edge_attributes": False}),  # [Ours without edge attributes]
+    # Clones only, as the paper does; as many steps as stgraph in three rounds.
+    LearnedMethod("stgraph-bc", dagger_rounds=0, pace=2.0),
+    LearnedMethod("stgraph-velocity", config={"velocity": True}),  # a departure: nodes carry their velocity
+)  # fmt: skip
+
+LEARNED: Mapping[str, LearnedMethod] = MappingProxyType({row.name: row for row in _LEARNED})
+
+
+def folder_of(name: str) -> str:
+    """The folder of a method's model: its name, with `_` for whatever a file name should not hold."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
 
 
 @dataclass
@@ -34,54 +97,51 @@ class Always:
 
 @dataclass(frozen=True)
 class Method:
-    """One row of the results table."""
+    """One line of the results table: rules, made for a scenario, or a learned policy, loaded from its model."""
 
     name: str
     knows: str  # one of KNOWLEDGE
-    make_policy: Callable[[Path], Policy]  # from the folder of trained models
-    model: str | None = None  # the folder in there that it needs
-    depth: int = FRAMES  # newest frames in a message that is sent to it
-    # The options of the environment that it needs beside scenario, radio and depth, from the same folder.
-    needs: Callable[[Path], dict[str, Any]] = lambda _: {}
+    make_policy: Callable[[str], Policy] | None = None  # for the scenario of this name
+    learned: LearnedMethod | None = None
 
     @property
     def shares(self) -> bool:
         """False: nothing is sent, whatever the radio could carry."""
         return self.knows == SENT
 
+    @property
+    def model(self) -> str | None:
+        """The folder of its model among those of a training seed, if it has one."""
+        return None if self.learned is None else self.learned.model
 
-def _planner(_: Path) -> Policy:
+    @property
+    def depth(self) -> int:
+        """Newest frames in a message that is sent to it."""
+        return FRAMES if self.learned is None else self.learned.depth
+
+
+def _planner(_: str) -> Policy:
     from cad_env.rules.planner import Planner  # here, because numba takes half a second that --help need not wait
 
     return Planner()
 
 
-def _cautious(_: Path) -> Policy:
+def _cautious(_: str) -> Policy:
     from cad_env.rules.cautious import Cautious
 
     return Cautious()
 
 
-def _expert(_: Path) -> Policy:
-    from cad_env.rules.expert import Expert
+def _expert(scenario: str) -> Policy:
+    from cad_env.rules.expert import expert_of
 
-    return Expert()
+    expert: Policy = expert_of(scenario)
+    return expert
 
 
-def _learned(row: LearnedMethod) -> Method:
-    def load(models: Path) -> "SavedModel":
-        folder = models / row.model
-        if not folder.is_dir():
-            raise ValueError(f"no trained model for {row.name}: there is no folder {folder}")
-        from policies.model_folder import load_model  # here, because torch takes a second that the others need not wait
-
-        return load_model(folder)
-
-    def needs(models: Path) -> dict[str, Any]:
-        return load(models).environment() if row.shares in ("points", "features") else {}
-
-    knows = NOTHING if row.blind else SEEN if row.shares == "nothing" else SENT
-    return Method(row.name, knows, lambda models: load(models).policy(), row.model, row.depth, needs)
+def _of(learned: LearnedMethod) -> Method:
+    knows = NOTHING if learned.blind else SEEN if learned.shares == "nothing" else SENT
+    return Method(learned.name, knows, learned=learned)
 
 
 METHODS: Mapping[str, Method] = MappingProxyType(
@@ -92,10 +152,10 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             Method("always-brake", NOTHING, lambda _: Always(BRAKE)),
             Method("planner-own", SEEN, _planner),
             Method("planner-shared", SENT, _planner),
-            Method(EXPERT, TRUTH, _expert),
-            *(_learned(row) for row in LEARNED.values()),
+            Method("expert", TRUTH, _expert),
+            *map(_of, LEARNED.values()),
             Method("cautious-own", SEEN, _cautious),
-            _learned(LearnedMethod("ppo")),  # learns by reward, and not as the rows do
+            _of(LearnedMethod("ppo")),  # learns by reward, not from demonstrations
         )
     }
 )
@@ -103,15 +163,69 @@ SHIPPED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert
 
 
 def method_named(name: str) -> Method:
-    """The method called `name`; ValueError that lists the choices otherwise."""
+    """The method called `name`, or one from outside; ValueError that lists the choices, the nearest one first."""
+    if is_reference(name):
+        return _outside(name)
     if name not in METHODS:
-        raise ValueError(f"unknown method {name!r}: choose among {', '.join(METHODS)}")
+        near = difflib.get_close_matches(name, METHODS, 1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        raise ValueError(f"unknown method {name!r}{hint}: choose among {', '.join(METHODS)} or give module:policy")
     return METHODS[name]
 
 
-def shipped_models(scenario: str) -> Path:
-    """Where the package keeps `shared` and `own`: of all scenarios, or else of the one that is named."""
+def learned_named(name: str) -> LearnedMethod:
+    """How the method called `name` is learned from demonstrations; ValueError that lists the choices otherwise."""
+    if is_reference(name):
+        learned = _outside(name).learned
+        if learned is None:
+            raise ValueError(f"{name} is a policy, not a network spec: there is nothing to train")
+        return learned
+    if name not in LEARNED:
+        near = difflib.get_close_matches(name, LEARNED, 1)
+        hint = f" (did you mean {near[0]}?)" if near else ""
+        raise ValueError(f"unknown method {name!r}{hint}: choose among {', '.join(LEARNED)} or give module:spec")
+    return LEARNED[name]
+
+
+def radio_of(method: str, usual: str) -> str:
+    """The radio that a method is asked and driven over: that which it learned over, if its messages need another."""
+    learned = method_named(method).learned
+    return (learned.radio if learned is not None else None) or usual
+
+
+@cache
+def _outside(name: str) -> Method:
+    found = resolved(name)
+    if is_network_spec(found):
+        from policies.registry import register
+
+        register(found, name)
+        register(found)  # the name that its model folders hold
+        return _of(LearnedMethod(name, spec=name, **getattr(found, "learned", {})))
+    policy = _checked(found, name)
+    knows = getattr(policy, "knows", TRUTH if policy.privileged else SENT)
+    if knows not in KNOWLEDGE:
+        raise ValueError(f"{name} must know one of {', '.join(KNOWLEDGE)}, got {knows!r}")
+    return Method(name, knows, lambda _: _checked(resolved(name), name))
+
+
+def is_network_spec(found: Any) -> bool:
+    """Whether an object from outside is a kind of network, and not a policy."""
+    return all(hasattr(found, part) for part in ("build", "frames", "logits", "config_type"))
+
+
+def _checked(found: Any, name: str) -> Policy:
+    for part in ("reset", "act"):
+        if not callable(getattr(found, part, None)):
+            raise ValueError(f"{name} is no policy: it has no {part}()")
+    if not isinstance(getattr(found, "privileged", None), bool):
+        raise ValueError(f"{name} is no policy: it does not say whether it is privileged")
+    policy: Policy = found
+    return policy
+
+
+def shipped_models() -> Path:
+    """Where the package keeps the models that ship: one for all scenarios."""
     import policies
 
-    weights = Path(policies.__path__[0]) / "weights"
-    return weights / "all" if (weights / "all").is_dir() else weights / scenario
+    return Path(policies.__path__[0]) / "weights" / "all"

@@ -4,17 +4,14 @@ import multiprocessing
 import os
 import queue
 import signal
+import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
-from typing import Any, TypeVar
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
+from typing import Any
 
 _told: "Queue[Any] | None" = None  # in a worker: where `tell` puts what it is progress
 
@@ -29,7 +26,7 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
     context = multiprocessing.get_context("spawn")
     lifeline, held = context.Pipe(duplex=False)
     progress: Queue[Any] = context.Queue()
-    pool = ProcessPoolExecutor(count, context, _start, (lifeline, progress, _known()))
+    pool = ProcessPoolExecutor(count, context, _start, (lifeline, progress, registered_scenarios()))
     try:
         with _interrupts_held():
             for _ in range(count):
@@ -42,6 +39,24 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
         pool.shutdown(cancel_futures=True)
         held.close()
         lifeline.close()
+
+
+def registered_scenarios() -> tuple[Any, ...]:
+    """The scenarios from outside that are registered here: a task in another process may need them."""
+    if "cad_env.scenarios" not in sys.modules:  # nothing has been registered, and importing it takes a second
+        return ()
+    from cad_env.scenarios import registered
+
+    return registered()
+
+
+def register_scenarios(scenarios: Sequence[Any]) -> None:
+    """The counterpart, in that process."""
+    if scenarios:
+        from cad_env.scenarios import scenario_named
+
+        for scenario in scenarios:
+            scenario_named(scenario)
 
 
 def prefer_one_thread() -> None:
@@ -82,40 +97,14 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _known() -> tuple[Any, ...]:
-    """The scenarios from outside, for a process to come."""
-    from cad_env.scenarios.registry import outside  # here, because --help need not wait for it
-
-    return outside()
-
-
-def _know(scenarios: tuple[Any, ...]) -> None:
-    """In another process: learn of the scenarios that are known where the work comes from."""
-    from cad_env.scenarios import scenario_named
-
-    for each in scenarios:
-        scenario_named(each)
-
-
-def knowing(work: Callable[[Task], Result]) -> Callable[[Task], Result]:
-    """A function of a task that also works in a process which knows of no scenarios from outside."""
-    return partial(_work, work, _known())
-
-
-def _work(work: Callable[[Task], Result], scenarios: tuple[Any, ...], task: Task) -> Result:
-    _know(scenarios)
-    return work(task)
-
-
-def _start(lifeline: Connection, progress: "Queue[Any]", scenarios: tuple[Any, ...]) -> None:
+def _start(lifeline: Connection, progress: "Queue[Any]", scenarios: "Sequence[Any]") -> None:
     global _told
     _told = progress
     # What nobody reads any more must not keep a worker from ending: its pipe is full after some hundred records. A
     # task returns all that counts; what it tells is for those who cannot wait for that.
     progress.cancel_join_thread()
+    register_scenarios(scenarios)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if scenarios:
-        _know(scenarios)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 
 

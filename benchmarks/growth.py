@@ -57,7 +57,7 @@ def _vector(scenes: int) -> Callable[[], float]:
 
 
 def as_figures(curves: dict[str, Curve]) -> dict[str, list[float]]:
-    """GraphArrays of the table."""
+    """Rows of the table."""
     return {f"step with {n} {name} (us)": [cost] for name, curve in curves.items() for n, cost in curve.items()}
 
 

@@ -1,4 +1,4 @@
-"""What takes a process of its own: start-up, the memory of a thousand scenes, scoring and demonstrations as users do it."""
+"""What takes a process of its own: start-up, the memory of a thousand scenes, scoring and recording as users do it."""
 
 import os
 import subprocess

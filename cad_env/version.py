@@ -21,7 +21,7 @@ def version() -> str:
 
 
 def code_digest(places: Iterable[Path]) -> str:
-    """Twelve letters that change with the code of some files and folders, but not with comments, layout or docstrings."""
+    """Twelve letters that change with the code of files and folders, but not with comments, layout or docstrings."""
     digest = hashlib.sha256()
     for place in places:
         for source in sorted(place.rglob("*.py")) if place.is_dir() else [place]:

@@ -1,4 +1,4 @@
-"""Kinds of network by name, one module each with its `SPEC`; torch comes with the first one that is asked for."""
+"""Network specs by name, one module each with its `SPEC`; torch comes with the first one that is asked for."""
 
 from collections.abc import Mapping
 from importlib import import_module
@@ -16,11 +16,30 @@ SPECS: Mapping[str, str] = MappingProxyType(  # name -> module
         "compressed": "policies.points.compressed",
     }
 )
+_registered: "dict[str, NetworkSpec]" = {}
+
+
+def register(spec: "NetworkSpec", name: str = "") -> None:
+    """Make a network spec from outside known in this process, by its own name or another.
+
+    ValueError for a name that is one of those that ship.
+    """
+    name = name or spec.name
+    if name in SPECS:
+        raise ValueError(f"network spec {name!r} ships with the project: choose another name")
+    _registered[name] = spec
 
 
 def spec_named(name: str) -> "NetworkSpec":
-    """The spec called `name`; ValueError that lists the choices otherwise."""
+    """The network spec called `name`; ValueError that lists the choices otherwise.
+
+    A model folder names its spec, and a file must not make this process import anything: specs from outside are found
+    only after `register`, which naming them on a command line does.
+    """
+    if name in _registered:
+        return _registered[name]
     if name not in SPECS:
-        raise ValueError(f"unknown spec {name!r}: choose among {', '.join(SPECS)}")
+        hint = f"; name it as a method ({name}) to use it" if ":" in name else ""
+        raise ValueError(f"unknown spec {name!r}: choose among {', '.join([*SPECS, *_registered])}{hint}")
     spec: NetworkSpec = import_module(SPECS[name]).SPEC
     return spec

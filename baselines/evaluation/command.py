@@ -1,4 +1,4 @@
-"""TODO."""
+"""evaluate.py: methods in closed loop on the same seeds, their table and report; shards put together."""
 
 import sys
 from collections.abc import Sequence

@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.evaluation.store import gif_name
-from baselines.methods import method_named
 from cad_env.animation import filmed, write_gif
 from cad_env.envs.single import CADEnv
 from cad_env.rendering.danger import danger
@@ -51,10 +51,10 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
 
 def _environment(settings: Settings, record: Record) -> dict[str, Any]:
     """The options that a recorded episode was driven with, and a small picture."""
-    options = settings.environment(record.scenario, method_named(record.method))
+    options = job_of(settings, record.scenario, record.method).options
     return {**options, "config": screen(scenario_named(record.scenario).map, SIZE)}
 
 
 def _policy(settings: Settings, record: Record) -> Policy:
     """Who drove a recorded episode."""
-    return settings.policy(record.scenario, method_named(record.method))
+    return job_of(settings, record.scenario, record.method).policy

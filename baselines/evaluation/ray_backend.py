@@ -6,6 +6,8 @@ from concurrent.futures import BrokenExecutor
 from importlib.util import find_spec
 from typing import TypeVar
 
+from baselines.workers import register_scenarios, registered_scenarios
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -31,7 +33,13 @@ def on_ray(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> 
         cores = None if os.environ.get("RAY_ADDRESS") else jobs
         ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="error")
     try:
-        remote = ray.remote(lambda task: work(task))  # it takes nothing but plain functions
+        scenarios = registered_scenarios()
+
+        def there(task: Task) -> Result:
+            register_scenarios(scenarios)
+            return work(task)
+
+        remote = ray.remote(there)
         waiting = [remote.remote(task) for task in tasks]
         while waiting:
             (done,), waiting = ray.wait(waiting)

@@ -4,22 +4,20 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Generator, Iterator
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
+from baselines.cli import Progress
 from baselines.evaluation.grid import Task
+from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.evaluation.store import NOTES, Store, key_of
-from baselines.methods import MODEL_FILES, method_named
-from baselines.workers import heard, knowing, prefer_one_thread, tell, workers
+from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.scenarios.registry import outside_sources
+from cad_env.scenarios import outside_sources
 from cad_env.scoring.rollout import BatchPolicy, Episode, rollouts
 from cad_env.scoring.scorecard import Record, Scorecard, scorecards
 from cad_env.version import version
@@ -37,34 +35,25 @@ def opened(settings: Settings) -> Store:
     prefer_one_thread()
     for scenario in settings.scenarios():
         for name in settings.method:
-            settings.policy(scenario, method_named(name))
+            job_of(settings, scenario, name)
     return Store(settings.folder(), identity(settings))
 
 
 def completed(settings: Settings, store: Store, advance: Callable[[int], object] | None = None) -> list[Scorecard]:
     """Drive the episodes that are missing, then return the scores, and write them unless they are of a shard only.
 
-    `advance` is progress of finished episodes, and no bar is drawn then.
+    `advance` is told of finished episodes, and no progress is shown then.
     """
     keys = [key for task in settings.tasks() for key in task.episodes()]
-    with (
-        tqdm(
-            total=len(keys),
-            initial=len(store.records),
-            unit="episode",
-            smoothing=0.1,
-            disable=True if advance else None,
-        ) as bar,
-        closing(_driven(settings, _missing(settings, store))) as finished,
-    ):
+    shown: Any = nullcontext() if advance else Progress(len(keys), "scoring", len(store.records))
+    with shown as bar, closing(_driven(settings, _missing(settings, store))) as finished:
+        report = advance or bar.update
         for records in finished:
             new = [record for record in records if key_of(record) not in store.records]
             if not new:
                 continue  # nothing to wait for the disk for
             store.append(new)
-            bar.update(len(new))
-            if advance:
-                advance(len(new))
+            report(len(new))
     rows = scorecards(store.put_in_order(keys))
     if settings.shard is None:
         store.write_scores(rows)
@@ -77,15 +66,15 @@ def identity(settings: Settings) -> dict[str, Any]:
         "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
         "collaborators", "depth", "threshold",
     )  # fmt: skip
-    models = {name: method_named(name).model for name in settings.method}
+    digests = {name: digest_of_method(settings, name) for name in settings.method}
     return {
         "scenario": list(settings.scenarios()),
         "method": list(settings.method),
         **{name: getattr(settings, name) for name in names},
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
-        **{f"model of {name}": _digest(settings, model) for name, model in models.items() if model},
-        "version of cad_env": version(),
+        **{f"model of {name}": digest for name, digest in digests.items() if digest is not None},
         **{what: digest for name in settings.scenarios() for what, digest in outside_sources(name).items()},
+        "version of cad_env": version(),
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
     }
@@ -95,12 +84,6 @@ def digest_of(settings: Settings) -> str:
     """The identity in 16 hexadecimal digits."""
     known = {name: value for name, value in identity(settings).items() if name not in NOTES}
     return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
-
-
-def _digest(settings: Settings, model: str) -> str:
-    folders: dict[Path, None] = dict.fromkeys(settings.models_of(scenario) / model for scenario in settings.scenarios())
-    data = b"".join((folder / name).read_bytes() for folder in folders for name in MODEL_FILES)
-    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def _missing(settings: Settings, store: Store) -> list[Task]:
@@ -113,11 +96,10 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
 
 def drive(settings: Settings, task: Task) -> Iterator[Record]:
     """The records of one method on some seeds of one scenario, as the episodes end."""
-    method = method_named(task.method)
-    policy = settings.policy(task.scenario, method)
-    abreast = min(ABREAST, len(task.seeds)) if isinstance(policy, BatchPolicy) else 1
-    envs = CADVectorEnv(abreast, **settings.environment(task.scenario, method))
-    return map(_record, rollouts(envs, policy, task.seeds, task.method, HAZARDS[settings.hazard]))
+    job = job_of(settings, task.scenario, task.method)
+    side_by_side = min(ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
+    envs = CADVectorEnv(side_by_side, **job.options)
+    return map(_record, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
 
 
 def _record(episode: Episode) -> Record:
@@ -137,7 +119,7 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
     """Records as episodes end; some come twice."""
     work = partial(_drive_and_tell, settings)
     if settings.backend == "ray" and tasks:
-        yield from on_ray(knowing(work), tasks, settings.jobs)
+        yield from on_ray(work, tasks, settings.jobs)
     elif settings.jobs == 1 or len(tasks) <= 1:
         for task in tasks:
             for record in drive(settings, task):
@@ -149,12 +131,12 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
                 yield heard(progress)
                 finished = {future for future in running if future.done()}
                 for future in finished:
-                    yield future.result()  # all of a task: what it progress last may still be on its way
+                    yield future.result()  # all of a task: what it reported last may still be on its way
                 running -= finished
 
 
 def _drive_and_tell(settings: Settings, task: Task) -> list[Record]:
-    """What a process does: each record is progress as its episode ends, so that a kill loses none that has ended."""
+    """What a process does: each record is reported as its episode ends, so that a kill loses none that has ended."""
     records = []
     for record in drive(settings, task):
         tell(record)

@@ -8,9 +8,9 @@ from typing import Any
 
 from baselines.evaluation.grid import Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
-from baselines.methods import EXPERT, SHIPPED, Method, method_named, shipped_models
+from baselines.methods import SHIPPED, Method, method_named, shipped_models
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_range, radio_config
-from cad_env.types import FRAMES, STEP, Policy
+from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL = ("all",)
@@ -27,8 +27,8 @@ class Settings:
     `--merge FOLDER FOLDER ... --out FOLDER` instead of these options puts the finished shards of one run together.
     """
 
-    scenario: tuple[str, ...] = ALL  # names or module:attribute, in the order of the table; all: those that ship
-    method: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/learned.py has more
+    scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
+    method: tuple[str, ...] = SHIPPED  # who drives, in the order of the table; baselines/methods.py has more
     models: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
     episodes: int = 500  # per scenario and method
     first_seed: int = 1_000_000  # training never uses seeds from a million on
@@ -90,21 +90,9 @@ class Settings:
         return SHIPPED if self.scenario == ALL else tuple(scenario_named(name).name for name in self.scenario)
 
     def environment(self, scenario: str, method: Method) -> dict[str, Any]:
-        """The options of the environment for a method: what it shares, and what its network needs."""
+        """The options of the environment for a method, beside those that its network needs."""
         radio = self.radio_config() if method.shares else RADIO_PRESETS["none"]
-        options = self._environment(scenario, radio, min(self.depth, method.depth))
-        return {**options, **method.needs(self.models_of(scenario))}
-
-    def policy(self, scenario: str, method: Method) -> Policy:
-        """A method as it drives in a scenario. ValueError for models that are not there."""
-        if method.name == EXPERT:  # whoever the scenario says
-            from cad_env.rules.expert import expert_of
-
-            return expert_of(scenario)
-        policy = method.make_policy(self.models_of(scenario))
-        if self.threshold is not None and hasattr(policy, "threshold"):
-            policy.threshold = self.threshold
-        return policy
+        return self._environment(scenario, radio, min(self.depth, method.depth))
 
     def _environment(self, scenario: str, radio: RadioConfig, depth: int) -> dict[str, Any]:
         return {
@@ -133,9 +121,9 @@ class Settings:
         """Every episode of this run, or of this shard of it."""
         return grid(self.scenarios(), self.method, self.seeds(), self.shard)
 
-    def models_of(self, scenario: str) -> Path:
-        """The folder of trained models for a scenario; of the first training seed, where there are several."""
-        return self.models[0] if self.models else shipped_models(scenario)
+    def models_folder(self) -> Path:
+        """The folder of trained models; of the first training seed, where there are several."""
+        return self.models[0] if self.models else shipped_models()
 
     def folder(self) -> Path:
         """Where the results go."""

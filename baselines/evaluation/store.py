@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.grid import Key, grid
+from baselines.methods import folder_of
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import Record, Scorecard, parse_record, scorecards
 
@@ -75,7 +76,7 @@ def gif_of(folder: Path, record: Record) -> Path:
 
 def gif_name(record: Record) -> str:
     """`<scenario>_<method>_<outcome>_<seed>.gif`."""
-    return f"{record.scenario}_{record.method}_{record.outcome}_{record.seed}.gif"
+    return f"{record.scenario}_{folder_of(record.method)}_{record.outcome}_{record.seed}.gif"
 
 
 def read_settings(folder: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""TODO."""
+"""reproduce.py: demonstrations, all methods, their scores and sweeps, and the tables and plots of them."""
 
 import json
 import sys
@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import BAR, parsed, refused, stopped
+from baselines.cli import Progress, parsed, refused, stopped
 from baselines.paper.presets import PRESETS
 from cad_env.config import check_range
 
@@ -99,7 +99,6 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     What failed comes back. It is said and, with its traceback, written down after every stage, so that a run that is
     interrupted has progress it. A run that is stopped has whole seeds to show.
     """
-    from tqdm import tqdm
 
     from baselines.evaluation.grid import shard_of
     from baselines.paper import tasks as of
@@ -119,12 +118,12 @@ def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     demonstrations = float(plan.preset.episodes * len(plan.scenarios))
     total = demonstrations + sum(of.work_of(plan, task) for _, tasks in stages for task in tasks)
     notes = plan.out / (FAILURES if shard is None else "failures_{}_of_{}.txt".format(*shard_of(shard)))
-    with tqdm(total=total, desc="record", bar_format=BAR, disable=None) as bar:
+    with Progress(total, "record") as bar:
         found = _all(partial(_record, plan), list(plan.scenarios), jobs, bar)
         failures = [(f"record {scenario}", story) for scenario, story in found]
         _note(notes, failures, failures)
         for name, tasks in stages if not failures else ():
-            bar.set_description(name)
+            bar.describe(name)
             found = _all(partial(_perform, plan), _possible(tasks, failures), jobs, bar)
             failures += found
             _note(notes, failures, found)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.methods import Method
 from cad_env.envs.vector import CADVectorEnv
@@ -75,18 +76,13 @@ class OpenLoop:
     made_with: str = ""  # digest of all that the answers depend on: settings, model and code of the scenes
 
 
-def environment_of(method: Method, settings: Settings, scenario: str) -> dict[str, Any]:
-    """The options of the environment in which a method is asked."""
-    return settings.environment(scenario, method)
-
-
 def measure(method: Method, settings: Settings, scenario: str, seeds: Sequence[int]) -> OpenLoop:
     """Ask a method in the expert's episodes of these seeds. ValueError for models that are not there."""
-    policy = settings.policy(scenario, method)
-    envs = CADVectorEnv(min(ABREAST, len(seeds)), **environment_of(method, settings, scenario))
+    job = job_of(settings, scenario, method.name)
+    envs = CADVectorEnv(min(ABREAST, len(seeds)), **job.options)
     found: list[OpenEpisode] = []
     for start in range(0, len(seeds), ABREAST):  # so many episodes of observations are held at a time
-        found += _asked(policy, envs, seeds[start : start + ABREAST], HAZARDS[settings.hazard])
+        found += _asked(job.policy, envs, seeds[start : start + ABREAST], HAZARDS[settings.hazard])
     return OpenLoop(scenario, method.name, settings.radio if method.shares else "none", tuple(found))
 
 
@@ -102,8 +98,12 @@ def _asked(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], hazard: boo
         else:
             seen[simulation.seed].append(observation)
 
-    expert = expert_of(envs.batch.simulations[0].scenario)
-    driven = {episode.seed: episode for episode in rollouts(envs, expert, seeds, hazard=hazard, watch=watch)}
+    driven = {
+        episode.seed: episode
+        for episode in rollouts(
+            envs, expert_of(envs.batch.simulations[0].setup.scenario), seeds, hazard=hazard, watch=watch
+        )
+    }
     found = []
     for seed in seeds:
         episode = driven[seed]

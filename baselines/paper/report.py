@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.learned import radio_of
+from baselines.methods import radio_of
 from baselines.paper import published, tables
 from baselines.paper.acceptance import Bar, bar_table, bars
 from baselines.paper.claims import Order, orders
@@ -155,7 +155,7 @@ def _closed_loop(run: Run, findings: Findings) -> str:
     if not findings.closed:
         return "\n\n".join([*lines, _missing("closed loop")])
     lines.append(
-        "All rows of a scene drive the same seeds. RowsByMethod that share nothing are the same over any radio. McNemar's "
+        "All rows of a scene drive the same seeds. Methods that share nothing are the same over any radio. McNemar's "
         "exact test is on the successes of the same episodes, the largest p of all training seeds, after Holm "
         "over the rows of a table. Over a radio that `stgraph` was not driven over, rows are compared with its "
         "episodes over `dsrc`. A difference has an interval without width where no episode tells the two rows apart: "

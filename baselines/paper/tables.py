@@ -1,4 +1,4 @@
-"""RowsByMethod -> tables in Markdown: rates in per cent, each with its 95 % interval, a dash where there is no value."""
+"""Results -> tables in Markdown: rates in per cent, each with its 95 % interval, a dash where there is no value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any

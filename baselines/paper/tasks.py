@@ -13,8 +13,7 @@ from types import MappingProxyType
 from baselines.evaluation.grid import Key, shard_of
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import EPISODES, difference, key_of, read_records, read_settings
-from baselines.learned import LEARNED, radio_of
-from baselines.methods import METHODS, method_named
+from baselines.methods import LEARNED, METHODS, method_named, radio_of
 from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.open_loop import FIRST_SEED, measure, open_path, read_open_loop, write_open_loop
 from baselines.paper.presets import ENDS, Preset

@@ -1,4 +1,4 @@
-"""TODO."""
+"""train.py: demonstrations, then every method and seed side by side, then their closed-loop table."""
 
 import sys
 from collections.abc import Sequence
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import BAR, parsed, refused, stopped
+from baselines.cli import Progress, parsed, refused, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import Settings
-from baselines.learned import learned_named, radio_of
+from baselines.methods import learned_named, radio_of
 from baselines.training.config import Budget, Lesson, claim, course_of, learn
 from cad_env.config import check_range, radio_config
 
@@ -27,8 +27,8 @@ RULES = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")
 class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
-    scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, module:attribute, or all that ship
-    method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/learned.py)
+    scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
+    method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/methods.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
     episodes: int = 1500  # of each scenario, driven by the expert
@@ -140,15 +140,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def train_all(settings: TrainSettings, lessons: Sequence[tuple[Lesson, Any]]) -> None:
     """Record the expert once, then train side by side, with one progress bar over all the work."""
-    from tqdm import tqdm
-
     from baselines.workers import workers
 
     scenes, folder = settings.scenarios(), settings.folder() / "demonstrations"
     total = settings.episodes * len(scenes) + sum(course.work() for _, course in lessons)
     with (
         workers(min(settings.jobs, max(len(lessons), len(scenes)))) as (pool, progress),
-        tqdm(total=total, desc="training", bar_format=BAR, disable=None) as bar,
+        Progress(total, "training") as bar,
     ):
         _wait_for([pool.submit(_record, folder, scene, settings.episodes) for scene in scenes], progress, bar)
         _wait_for([pool.submit(_learn, lesson, course) for lesson, course in lessons], progress, bar)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from baselines.learned import LearnedMethod, learned_named
+from baselines.methods import LearnedMethod, learned_named
 from cad_env.files import replace_file
 from policies.registry import spec_named
 

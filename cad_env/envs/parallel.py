@@ -232,6 +232,6 @@ def parallel_env(
     env_id: str | Scenario = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any
 ) -> CADParallelEnv:
     """The PettingZoo environment of an id or of a scenario, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
-    if env_id != "CADScenario-v0":  # which has its scenario among the options
+    if env_id not in ("CADScenario-v0", "cad_env:CADScenario-v0"):  # which has its scenario among the options
         options["scenario"] = env_id if isinstance(env_id, Scenario) else scenario_of_id(env_id)
     return CADParallelEnv(render_mode=render_mode, **options)

@@ -54,7 +54,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         self._reward = reward_named(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        names = list(scenario) if isinstance(scenario, list | tuple) else [scenario]
+        names = [scenario] if scenario is None or isinstance(scenario, str | Scenario) else list(scenario)
         if not names:
             raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]

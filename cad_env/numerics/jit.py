@@ -72,8 +72,10 @@ def announce_compilation(function: str) -> None:
 
 def _package(function: Callable[..., Any]) -> Path:
     """The folder of the top-level package, or of the single module, that a function is from."""
-    source = sys.modules[function.__module__.partition(".")[0]].__file__
-    return Path(source).parent if source else PACKAGE
+    module = sys.modules[function.__module__.partition(".")[0]]
+    if hasattr(module, "__path__"):
+        return Path(next(iter(module.__path__)))
+    return Path(module.__file__).parent if module.__file__ else PACKAGE
 
 
 @cache

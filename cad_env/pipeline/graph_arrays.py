@@ -1,4 +1,4 @@
-"""GraphArrays of tracks by frames: the arrays behind a Graph, and the few things every holder of them does."""
+"""Rows of tracks by frames: the arrays behind a Graph, and the few things every holder of them does."""
 
 import numpy as np
 

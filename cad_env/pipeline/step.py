@@ -60,12 +60,15 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
     """A fleet that has seen nothing yet."""
     count = len(rows)
     return Fleet(
-        rows, np.zeros((count, FRAMES, 3)), empty_tracks(count), empty_graph_arrays(count), empty_graph_arrays(receivers, count),
-        empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS), empty_view(receivers), empty_air(count, link, MAX_BYTES),
+        rows, np.zeros((count, FRAMES, 3)), empty_tracks(count), empty_graph_arrays(count),
+        empty_graph_arrays(receivers, count), empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS),
+        empty_view(receivers),
+        empty_air(count, link, MAX_BYTES),
         np.zeros((count, vehicles), np.bool_),
         Report(*(np.zeros(n, np.int64) for n in (count, count, receivers, receivers))),
         empty_graph_arrays(), np.zeros((MAX_MERGED_TRACKS, FRAMES)), np.zeros(3, np.int64), np.zeros((vehicles, 3)),
-        np.zeros(vehicles, np.int64), np.zeros((MAX_TRACKS, 3)), np.zeros(MAX_TRACKS, np.int8), np.zeros(MAX_BYTES, np.uint8),
+        np.zeros(vehicles, np.int64), np.zeros((MAX_TRACKS, 3)), np.zeros(MAX_TRACKS, np.int8),
+        np.zeros(MAX_BYTES, np.uint8),
     )  # fmt: skip
 
 

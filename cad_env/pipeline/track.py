@@ -45,7 +45,8 @@ def empty_tracks(*lead: int) -> Tracks:
     return Tracks(
         np.zeros((*lead, 1), np.int64), np.ones((*lead, 1), np.int64), np.zeros((*lead, MAX_TRACKS), np.int64),
         np.zeros((*lead, MAX_TRACKS, 4)), np.zeros((*lead, MAX_TRACKS, 3)), np.zeros((*lead, MAX_TRACKS)),
-        np.zeros((*lead, MAX_TRACKS), np.int8), np.zeros((*lead, MAX_TRACKS), np.int64), np.zeros((*lead, MAX_TRACKS), np.int64),
+        np.zeros((*lead, MAX_TRACKS), np.int8), np.zeros((*lead, MAX_TRACKS), np.int64),
+        np.zeros((*lead, MAX_TRACKS), np.int64),
         np.zeros((*lead, MAX_TRACKS, BIRTH_HITS, 3)), np.zeros((*lead, MAX_TRACKS, BIRTH_HITS), np.bool_),
     )  # fmt: skip
 

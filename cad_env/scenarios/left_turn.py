@@ -20,7 +20,7 @@ SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
 
 @dataclass(frozen=True)
 class LeftTurnRanges(Ranges):
-    """Every range the actors is drawn from; docs/scenarios.md says where each comes from."""
+    """Every range the actors are drawn from; docs/scenarios.md says where each comes from."""
 
     ego_speed: Range = span(7.0, 9.0, within=(1.0, 20.0))  # m/s it wants to turn at
     ego_start: Range = span(26.0, 40.0, within=(5.0, 150.0))  # m before its stop line

@@ -65,7 +65,7 @@ def _plan(name: str, commands: tuple[Command, ...], oncoming: tuple[float, float
 
 @dataclass(frozen=True)
 class OvertakingRanges(Ranges):
-    """Every range the actors is drawn from; docs/scenarios.md says where each comes from."""
+    """Every range the actors are drawn from; docs/scenarios.md says where each comes from."""
 
     ego_speed: Range = span(8.5, 10.5, within=(3.0, 15.0))  # m/s it wants to drive at
     ego_start: Range = span(35.0, 50.0, within=(30.0, 150.0))  # m before it would swing out

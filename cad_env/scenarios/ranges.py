@@ -42,7 +42,7 @@ def share(value: float) -> Any:
 
 @dataclass(frozen=True)
 class Ranges:
-    """What the actors of every scenario is drawn from; each adds its own. Nonsense is refused by name and value."""
+    """What the actors of every scenario are drawn from; each adds its own. Nonsense is refused by name and value."""
 
     hazard_share: float = share(0.5)  # share of episodes with a hazard
     collaborators: tuple[int, int] = count(2, 4, within=(0, 20))  # connected vehicles besides the ego

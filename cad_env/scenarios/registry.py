@@ -38,7 +38,7 @@ def register(scenario: Scenario) -> Scenario:
     if name in _known:
         if _known[name] == scenario:
             return _known[name]
-        raise ValueError(f"another scenario is called {name!r} already: choose another name")
+        raise ValueError(f"scenario {name!r} ({gym_id}) is known already, as another one: choose another name")
     taken = gym.registry.get(gym_id)
     if taken is not None and (taken.entry_point, taken.kwargs.get("scenario")) != (ENVIRONMENT, name):
         raise ValueError(f"another environment has the id {gym_id!r} already: choose another gym_id for {name!r}")
@@ -69,7 +69,7 @@ def scenario_named(given: Any) -> Scenario:
 
 def scenario_of_id(gym_id: str) -> Scenario:
     """The scenario of a Gymnasium id; ValueError that lists the choices otherwise."""
-    found = gym.registry.get(gym_id) if isinstance(gym_id, str) else None
+    found = gym.registry.get(gym_id.removeprefix("cad_env:")) if isinstance(gym_id, str) else None
     scenario = found.kwargs.get("scenario") if found is not None and found.entry_point == ENVIRONMENT else None
     if scenario is None:
         ids = [spec.id for spec in gym.registry.values() if spec.entry_point == ENVIRONMENT and spec.kwargs["scenario"]]
@@ -86,7 +86,7 @@ def commands_of(names: Iterable[str]) -> int:
     return next(iter(counts.values()), COMMANDS)
 
 
-def outside() -> tuple[str | Scenario, ...]:
+def registered() -> tuple[str | Scenario, ...]:
     """What another process must hand to `scenario_named` to know all that is known here."""
     return tuple(_found_at.get(name, scenario) for name, scenario in _known.items() if name not in SHIPPED)
 

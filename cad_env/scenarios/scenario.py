@@ -1,4 +1,4 @@
-"""A scenario is a map, its routes, its actors and the traffic around them, each drawn from its own stream of chance."""
+"""A scenario is a map, its routes, its actors and the traffic around them, each drawn from its own random stream."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -131,8 +131,8 @@ def _check_commands(scenario: Scenario) -> None:
         for command in plan.commands:
             if isinstance(command, bool) or not isinstance(command, int) or not 0 <= command < len(names):
                 raise ValueError(
-                    f"route {plan.name!r} of {scenario.name!r} asks for command {command!r}: "
-                    f"choose among 0 to {len(names) - 1} ({', '.join(names)})"
+                    f"route {plan.name!r} of {scenario.name} has command {command!r}, "
+                    f"but there are {len(names)} ({', '.join(names)})"
                 )
 
 

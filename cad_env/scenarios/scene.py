@@ -10,7 +10,7 @@ from cad_env.scenarios.ranges import Traffic
 from cad_env.types import CAR
 from cad_env.world.state import IDM, Routes, World, empty_world
 
-EGO, OCCLUDER, HIDDEN = 0, 1, 2  # the first rows of every actors
+EGO, OCCLUDER, HIDDEN = 0, 1, 2  # the first of the actors of every scene
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ BEYOND = 2.0 * STOP_LINE + 25.0  # m past its stop line, where the ego has arriv
 
 @dataclass(frozen=True)
 class StreetCrossingRanges(Ranges):
-    """Every range the actors is drawn from; docs/scenarios.md says where each comes from."""
+    """Every range the actors are drawn from; docs/scenarios.md says where each comes from."""
 
     ego_speed: Range = span(9.5, 12.0, within=(1.0, 20.0))  # m/s it wants to cross at
     ego_start: Range = span(40.0, 58.0, within=(5.0, 150.0))  # m before its stop line

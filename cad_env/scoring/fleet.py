@@ -164,7 +164,7 @@ class FleetScore:
 
 
 def fleet_scores(episodes: Iterable[FleetEpisode]) -> list[FleetScore]:
-    """GraphArrays for all episodes, those with a hazard and those without, as far as there are any.
+    """Rows for all episodes, those with a hazard and those without, as far as there are any.
 
     Scenarios and methods come in the order of their first episode.
     """

@@ -125,7 +125,7 @@ class Scorecard:
 
 
 def scorecards(records: Iterable[Record]) -> list[Scorecard]:
-    """GraphArrays for all episodes, those with a hazard and those without, as far as there are any.
+    """Rows for all episodes, those with a hazard and those without, as far as there are any.
 
     Scenarios and methods come in the order of their first record.
     """

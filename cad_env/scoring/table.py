@@ -9,7 +9,7 @@ TITLES = ("scenario", "method", "hazard", "episodes", "collision % [95 %]", "suc
 
 
 def text_table(titles: Sequence[str], rows: Sequence[Sequence[str]], names: int = 3) -> str:
-    """GraphArrays under their titles and a rule; the first `names` columns are aligned to the left, numbers to the right.
+    """Rows under their titles and a rule; the first `names` columns are aligned to the left, the others to the right.
 
     >>> print(text_table(("method", "n"), [("expert", "5")], names=1))
     method  n

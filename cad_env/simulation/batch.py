@@ -21,9 +21,9 @@ class SceneBatch:
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
-        self.batch_state = BatchState(
-            len(setups), _one_cloud(setups), commands_of(setup.scenario for setup in setups)
-        )  # for compiled loops of one's own: `cad_env.simulation.scene_step.scene_at`
+        commands = commands_of(setup.scenario for setup in setups)
+        # For compiled loops of one's own: `cad_env.simulation.scene_step.scene_at`.
+        self.batch_state = BatchState(len(setups), _one_cloud(setups), commands)
         self.simulations = [Simulation(setup, self.batch_state, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
         # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
@@ -60,7 +60,7 @@ class SceneBatch:
 
     @property
     def outcomes(self) -> Ints:
-        """(S,) int8 how each episode stands, by the numbers of `cad_env.simulation.scene_step`; filled anew by every step."""
+        """(S,) int8 how each episode stands, by the numbers of `scene_step`; filled anew by every step."""
         return self.batch_state.step_info.outcome
 
     @property

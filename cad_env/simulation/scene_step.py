@@ -1,7 +1,7 @@
 """A scene under way as one record, and the compiled loops that move one such scene or a thousand.
 
-Every environment steps its scenes by `play`. It takes them from the records of a batch_state, where each has its own numbers of
-vehicles, and a call from Python costs next to nothing however many arrays a scene has.
+Every environment steps its scenes by `play`. It takes them from a record array (`BatchState.records`), where each has
+its own number of vehicles, and a call from Python costs next to nothing however many arrays a scene has.
 """
 
 from collections.abc import Iterator
@@ -73,7 +73,7 @@ class BatchState:
         self.views: View = empty_view(places, 1, commands=commands)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
         self.rooms: list[Bytes] = []  # scratch: for clouds before they are encoded
-        self._scenes: dict[int, SceneState] = {}  # whose arrays the records borrows
+        self._scenes: dict[int, SceneState] = {}  # whose arrays the records borrow
         self.records: Any = new_record_array(KIND, places, self._scenes)
 
     def step_info_at(self, place: int) -> StepInfo:
@@ -105,7 +105,7 @@ def _no_step_info(scenes: int) -> StepInfo:
 
 
 def _kind() -> Any:
-    """The type of every live scene, step_info by one of nobody."""
+    """The type of every scene record, taken from an empty one."""
     link = link_of(RadioConfig())
     return typeof(
         SceneState(
@@ -126,7 +126,7 @@ def _put(records: Any, place: int, scene: SceneState) -> None:
 
 @inlined_part
 def scene_at(records: Any, place: int) -> SceneState:
-    """The live scene at a place of a batch_state's records, borrowed, for compiled loops."""
+    """The scene at a place of a record array, borrowed, for compiled loops."""
     scene: SceneState = take(records, place, KIND)
     return scene
 
@@ -194,7 +194,7 @@ def write_radio_info(step_info: StepInfo, air: Report) -> None:
 
 @dataclass(frozen=True)
 class Truths:
-    """What a privileged policy that decides in batches is given: the worlds of some scenes of a batch_state."""
+    """What a privileged policy that decides in batches is given: the worlds of some scenes of a batch."""
 
     batch_state: BatchState
     which: Ints  # (n,)

@@ -1,4 +1,4 @@
-"""TODO."""
+"""Everything about an environment that is not drawn from the seed."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -62,6 +62,8 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     """
     check_names("option", dict(options), [f.name for f in fields(Setup)])
     given = dict(options)
+    if "scenario" in given:
+        given["scenario"] = scenario_named(given["scenario"]).name
     for name, kind in (("radio", RadioConfig), ("sensor", SensorConfig)):
         if isinstance(given.get(name), Mapping):
             check_names(f"{name} setting", dict(given[name]), [f.name for f in fields(kind)])

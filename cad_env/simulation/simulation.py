@@ -43,7 +43,7 @@ REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message wa
 
 
 class Simulation:
-    """The state of one episode, and what happens in a decision step; it has a place on a batch_state, alone or not."""
+    """The state of one episode, and what happens in a decision step; it has a place in a batch, alone or not."""
 
     def __init__(self, setup: Setup, batch_state: BatchState | None = None, place: int = 0) -> None:
         self.setup = setup
@@ -99,7 +99,7 @@ class Simulation:
         return {name: value for name, value in self.__dict__.items() if name != "_batch_state"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy has a batch_state of its own, whatever batch_state the original has its place on."""
+        """A copy is a batch of one, whatever batch the original has its place in."""
         self.__dict__.update(state)
         commands = self.scenario.command_count
         self._batch_state, self._place, self._which = BatchState(1, commands=commands), 0, np.zeros(1, np.int64)

@@ -31,7 +31,7 @@ class Routes(NamedTuple):
 
 
 class World(NamedTuple):
-    """N vehicles. GraphArrays stay put for a whole episode; a vehicle that leaves the map turns OFF."""
+    """N vehicles. Rows stay put for a whole episode; a vehicle that leaves the map turns OFF."""
 
     position: Floats  # (N, 2) m
     heading: Floats  # (N,) rad

@@ -7,8 +7,7 @@ from cad_env.types import COMMANDS, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
-_SIZES = {"hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024,
-          "commands": MOST_COMMANDS}  # fmt: skip
+_SIZES = {"commands": MOST_COMMANDS, "hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
 _LEAST = {"commands": COMMANDS}
 _SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
 
@@ -33,7 +32,6 @@ class StGraphConfig:
     layers: int = 2
     mlp_width: int = 16  # not stated in the paper
     position_scale: float = 1 / 50  # 1/m; the paper feeds metres into exp()
-    commands: int = COMMANDS  # of the scenarios it drives in
 
     # The letter of the paper, where it hinders learning or leaves a choice.
     attn_slope: float = 0.2  # LeakyReLU of the attention score; 0 is the paper's ReLU, where most scores tie at 0
@@ -50,6 +48,7 @@ class StGraphConfig:
     velocity: bool = False  # nodes carry their track's least-squares velocity over the window, the ego node its speed
     ego_speed: bool = False  # the ego's speed beside the command
     class_input: bool = False  # nodes say whether they are a truck
+    commands: int = COMMANDS  # that its scenarios have; more than six where one brings its own
 
     def __post_init__(self) -> None:
         for name, most in _SIZES.items():

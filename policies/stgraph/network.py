@@ -154,9 +154,9 @@ class StGraphNet(nn.Module):
                 for depth in range(config.layers - 1):
                     self.importance[str(depth)] = Importance(joined, rng)
             self.importance[str(config.layers - 1)] = Importance(config.head_width, rng)
-        told = config.head_width + config.commands + config.ego_speed
+        inputs = config.head_width + config.commands + config.ego_speed
         self.decide = nn.Sequential(
-            Linear(told, wide, rng), nn.ReLU(), Linear(wide, wide, rng), nn.ReLU(), Linear(wide, 2, rng)
+            Linear(inputs, wide, rng), nn.ReLU(), Linear(wide, wide, rng), nn.ReLU(), Linear(wide, 2, rng)
         )
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:

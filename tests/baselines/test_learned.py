@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch.nn.functional import cross_entropy
 
+from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
-from baselines.learned import LEARNED, SHARED, learned_named
-from baselines.methods import method_named
+from baselines.methods import LEARNED, SHARED, learned_named, method_named
 from baselines.training.config import Budget, course_of
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
@@ -57,9 +57,9 @@ def test_a_row_learns_is_kept_and_drives(name: str, recorded: Demonstrations, tm
         assert bool(weights.grad.any()), part
     folder = tmp_path / learned_named(name).model
     save_model(folder, SavedModel(network, 1.0, {}, spec))  # it goes, so that the episode is short
-    policy, again = spec.policy(network, 1.0), method_named(name).make_policy(tmp_path)
     settings = Settings(scenario=("left_turn",), method=(name,), models=(tmp_path,), radio=made.radio)
-    envs = CADVectorEnv(2, **settings.environment("left_turn", method_named(name)))
+    policy, job = spec.policy(network, 1.0), job_of(settings, "left_turn", name)
+    again, envs = job.policy, CADVectorEnv(2, **job.options)
     seen, _ = envs.reset(seed=3)
     np.testing.assert_array_equal(policy.brake_probability(seen), again.brake_probability(seen))
     first = next(rollouts(envs, again, [3]))
@@ -92,7 +92,7 @@ def test_rows_of_points_are_validated_on_few_episodes_and_a_clone_takes_all_its_
 
 
 def test_an_unknown_row_or_family_is_refused_with_the_choices() -> None:
-    with pytest.raises(ValueError, match=r"unknown row 'gta': choose among stgraph, .*gat"):
+    with pytest.raises(ValueError, match=r"unknown method 'gta' .*choose among stgraph, .*gat"):
         learned_named("gta")
     with pytest.raises(ValueError, match=r"unknown spec 'gta': choose among stgraph, "):
         spec_named("gta")

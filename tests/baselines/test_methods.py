@@ -6,13 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.evaluation.job import job_of
+from baselines.evaluation.settings import Settings
 from baselines.methods import METHODS, SHIPPED, Always, method_named, shipped_models
 from cad_env.envs.single import CADEnv
 from cad_env.scoring.rollout import BatchPolicy, rollout
-from cad_env.types import BRAKE, GO
+from cad_env.types import BRAKE, GO, Policy
 from policies.model_folder import ModelError, SavedModel, save_model
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.policy import StGraphPolicy
+
+
+def policy_of(name: str, models: Path) -> Policy:
+    """Who decides in a left turn."""
+    return job_of(Settings(models=(models,)), "left_turn", name).policy
 
 
 @pytest.fixture
@@ -32,21 +39,24 @@ def test_of_those_that_ship_only_two_are_sent_anything() -> None:
 
 
 def test_only_the_expert_sees_the_truth(models: Path) -> None:
-    assert [name for name in SHIPPED if method_named(name).make_policy(models).privileged] == ["expert"]
+    assert [name for name in SHIPPED if policy_of(name, models).privileged] == ["expert"]
 
 
 def test_an_unknown_method_is_refused_with_the_choices() -> None:
-    with pytest.raises(ValueError, match=r"unknown method 'planer': choose among always-go, .*, stgraph-own, "):
+    with pytest.raises(
+        ValueError,
+        match=r"unknown method 'planer' \(did you mean planner-\w+\?\): choose among always-go, .*, stgraph-own, ",
+    ):
         method_named("planer")
 
 
 def test_always_is_always(models: Path) -> None:
     for name, action in (("always-go", GO), ("always-brake", BRAKE)):
-        assert method_named(name).make_policy(models) == Always(action)
+        assert policy_of(name, models) == Always(action)
 
 
 def test_each_learned_method_drives_its_own_model(models: Path) -> None:
-    shared, own = (method_named(name).make_policy(models) for name in ("stgraph", "stgraph-own"))
+    shared, own = (policy_of(name, models) for name in ("stgraph", "stgraph-own"))
     assert isinstance(shared, StGraphPolicy)
     assert isinstance(own, StGraphPolicy)
     assert isinstance(shared, BatchPolicy)
@@ -55,19 +65,17 @@ def test_each_learned_method_drives_its_own_model(models: Path) -> None:
 
 def test_a_missing_model_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"no trained model for stgraph-own.*{tmp_path / 'stgraph-own'}"):
-        method_named("stgraph-own").make_policy(tmp_path)
+        policy_of("stgraph-own", tmp_path)
 
 
 def test_a_damaged_model_is_refused(models: Path) -> None:
     os.truncate(models / "stgraph" / "model.safetensors", 100)
     with pytest.raises(ModelError, match="truncated or altered"):
-        method_named("stgraph").make_policy(models)
+        policy_of("stgraph", models)
 
 
 def test_shipped_models_are_looked_for_in_the_package() -> None:
-    folder = shipped_models("left_turn")
-    assert folder.parts[-3:-1] == ("policies", "weights")
-    assert folder.name == ("all" if (folder.parent / "all").is_dir() else "left_turn")
+    assert shipped_models().parts[-3:] == ("policies", "weights", "all")
 
 
 def test_going_blindly_crashes_and_standing_never_arrives() -> None:

@@ -7,7 +7,8 @@ import pytest
 from cad_env import version as version_module
 from cad_env.version import EPISODE_CODE, PACKAGE, code_digest, version
 
-SOURCE = '"""A module."""\n\nSPEED = 1.0  # m/s\n\n\ndef twice(x: float) -> float:\n    """Twice as much."""\n    return 2 * x\n'
+SOURCE = '"""A module."""\n\nSPEED = 1.0  # m/s\n'
+SOURCE += '\n\ndef twice(x: float) -> float:\n    """Twice as much."""\n    return 2 * x\n'
 
 
 def digest_of(folder: Path, text: str) -> str:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from scenes import Steady, forget, started
 
 import cad_env
-from baselines.evaluation.command import main as evaluate
+import evaluate
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.rendering import layers
@@ -306,7 +307,7 @@ def test_what_knows_other_numbers_of_commands_is_refused_in_one_line(make: Calla
 
 def test_a_network_of_the_six_commands_is_not_scored_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     words = ["--scenario", NAME, "--method", "stgraph", "--episodes", "1", "--no-report", "--out", str(tmp_path)]
-    assert evaluate(words) != 0
+    assert evaluate.main(words) != 0
     assert "error: the network was made for 6 commands, and this scenario has 7" in capsys.readouterr().err
 
 
@@ -314,7 +315,7 @@ def test_two_processes_score_it_as_one_does_with_its_own_expert(tmp_path: Path):
     found = []
     for jobs in ("1", "2"):
         words = ["--scenario", NAME, "--method", "always-go", "expert", "--episodes", "6", "--no-report"]
-        assert evaluate([*words, "--jobs", jobs, "--out", str(tmp_path / jobs)]) == 0
+        assert evaluate.main([*words, "--jobs", jobs, "--out", str(tmp_path / jobs)]) == 0
         found.append([(tmp_path / jobs / name).read_text() for name in ("episodes.jsonl", "scores.json")])
     assert found[0] == found[1]
     records = [json.loads(line) for line in found[0][0].splitlines()]
@@ -361,3 +362,67 @@ def test_every_network_learns_it_for_a_moment_and_drives(spec: str, tmp_path: Pa
 def test_a_hazard_that_would_have_to_start_beyond_the_road_is_refused():
     with pytest.raises(ValueError, match=r"ego_start=\(30.0, 150.0\).*starts more than \d+ m away"):
         HIGHWAY_MERGE.configured({"ego_start": (30.0, 150.0)})
+
+
+@pytest.mark.parametrize(
+    "asked", [{"id": "CADHighwayMerge-v0"}, {"id": "cad_env:CADScenario-v0", "scenario": HIGHWAY_MERGE}]
+)
+def test_gym_makes_it_and_the_observation_has_its_command(asked: dict[str, Any]):
+    env = gym.make(**asked)
+    observation, _ = env.reset(seed=1)
+    assert env.observation_space["command"].shape == (7,)
+    assert env.observation_space.contains(observation)
+    asked_for = set()
+    for _ in range(100):
+        observation, _, terminated, truncated, _ = env.step(GO)
+        asked_for.add(int(observation["command"].argmax()))
+        if terminated or truncated:
+            break
+    assert asked_for >= {0, MERGE}
+
+
+def test_it_goes_side_by_side_and_with_every_connected_vehicle_as_an_agent():
+    envs = gym.make_vec("CADHighwayMerge-v0", num_envs=2, vectorization_mode="vector_entry_point")
+    observations, _ = envs.reset(seed=1)
+    assert observations["command"].shape == (2, 7)
+    fleet = cad_env.parallel_env("CADHighwayMerge-v0")
+    observations, _ = fleet.reset(seed=1)
+    assert fleet.observation_space("cav_0").contains(observations["cav_0"])
+    with pytest.raises(ValueError, match="equally many commands"):
+        CADVectorEnv(2, scenario=[HIGHWAY_MERGE, "left_turn"])
+
+
+def test_worker_processes_score_it_with_its_own_expert(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = [
+        "--scenario",
+        NAME,
+        "--method",
+        "always-go",
+        "expert",
+        "--episodes",
+        "26",
+        "--jobs",
+        "2",
+        "--hazard",
+        "yes",
+    ]
+    assert evaluate.main([*words, "--no-report", "--out", str(tmp_path)]) == 0
+    rows = {line.split()[1]: line for line in capsys.readouterr().out.splitlines() if line.startswith(NAME)}
+    assert " 100.0 [" in rows["always-go"].split("26", 1)[1][:20]
+    assert " 0.0 [" in rows["expert"].split("26", 1)[1][:20]
+
+
+def test_it_is_demonstrated_and_learned(tmp_path: Path):
+    config = Course(
+        scenarios=(NAME,), episodes=12, dagger_rounds=1, dagger_episodes=2, steps=6, segments=1, validation=1,
+        final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=16), network=StGraphConfig(commands=7),
+    )  # fmt: skip
+    train(config, tmp_path, lambda done: None)
+    assert load_model(tmp_path).network.config.commands == 7
+
+
+def test_another_scenario_of_its_name_is_refused():
+    with pytest.raises(ValueError, match=r"'highway_merge' .* is known already"):
+        cad_env.register(replace(HIGHWAY_MERGE, gym_id="CADOther-v0"))
+    with pytest.raises(ValueError, match="has command 6, but there are 6"):
+        replace(HIGHWAY_MERGE, commands=())

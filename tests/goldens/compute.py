@@ -20,7 +20,7 @@ import torch
 import evaluate
 from cad_env.envs.single import CADEnv
 from cad_env.lidar.config import CloudConfig
-from cad_env.scenarios import SHIPPED as SCENARIOS
+from cad_env.scenarios import SHIPPED
 from policies.registry import spec_named
 from policies.training import ppo
 from policies.training.cloning import Recipe
@@ -72,7 +72,7 @@ def trained(network: str, folder: Path) -> str:
     """Digest of a network that has learned for a moment, with dagger_rounds, on two scenarios."""
     spec = spec_named(network)
     course = Course(
-        scenarios=tuple(SCENARIOS)[:2], radio="ideal", episodes=6, dagger_rounds=1, dagger_episodes=1, steps=6,
+        scenarios=SHIPPED[:2], radio="ideal", episodes=6, dagger_rounds=1, dagger_episodes=1, steps=6,
         segments=2, validation=1, final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=8), spec=spec.name,
         network=spec.config_type(),
     )  # fmt: skip
@@ -97,7 +97,7 @@ def scored(folder: Path) -> str:
 
 def goldens() -> Iterator[tuple[str, Callable[[Path], str]]]:
     """Every golden by its name, as a function of an empty folder."""
-    for scenario in SCENARIOS:
+    for scenario in SHIPPED:
         for traffic in TRAFFIC:
             for radio in RADIOS:
                 options = {"scenario": scenario, "traffic": traffic, "radio": radio}

@@ -214,7 +214,7 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
     assert process.returncode == code
     if how == "SIGINT":
         assert said.count("\n") == 1
-        assert "the same command goes on from there" in said
+        assert "run the same command to resume" in said
     done_before = records(tmp_path)
     assert 1 <= len(done_before) < 75
     assert run(tmp_path, *LONG) == 0

@@ -14,7 +14,7 @@ from baselines.evaluation.grid import Task as Episodes
 from baselines.evaluation.run import drive, identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import difference, read_records
-from baselines.learned import LEARNED
+from baselines.methods import LEARNED
 from baselines.paper import command as reproduce
 from baselines.paper.gathering import commands, gather
 from baselines.paper.presets import PRESETS, Preset

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
 from baselines.methods import method_named
 from baselines.paper.open_loop import OpenEpisode, OpenLoop, at_threshold, measure, read_open_loop, write_open_loop
@@ -44,7 +45,7 @@ def test_a_network_answers_as_it_drives_and_says_how_sure_it_is() -> None:
     loop = asked("stgraph")
     seen = []
     episode = rollout(CADEnv(), Expert(), SEEDS[1], watch=lambda env, observation, action: seen.append(observation))
-    policy = method_named("stgraph").make_policy(SETTINGS.models_of("left_turn"))
+    policy = job_of(SETTINGS, "left_turn", "stgraph").policy
     found = loop.episodes[1]
     assert found.answers == "".join(str(policy.act(observation)) for observation in seen)
     assert found.brake_probability is not None

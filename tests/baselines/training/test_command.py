@@ -39,7 +39,7 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     first.send_signal(signal.SIGINT)
     _, errors = first.communicate(timeout=120)
     assert first.returncode == 130
-    assert "the same command goes on" in errors
+    assert "run the same command to resume" in errors
     assert "Traceback" not in errors
     kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("demonstrations/*/*.npz")}
     assert kept
@@ -113,7 +113,7 @@ def test_a_row_that_is_added_can_be_scored_beside_an_earlier_run(tmp_path: Path,
     for rows in (("stgraph",), train.MAIN_METHODS, ("stgraph-own",)):
         settings = train.TrainSettings(out=tmp_path / "run", method=rows, seed=seeds, scenario=("left_turn",))
         for seed in seeds:
-            shutil.copytree(shipped_models("left_turn"), settings.models(seed), dirs_exist_ok=True)
+            shutil.copytree(shipped_models(), settings.models(seed), dirs_exist_ok=True)
         for run in settings.scoring():
             for part in runs_of(run).values() if len(seeds) > 1 else [run]:
                 opened(part)

@@ -33,7 +33,8 @@ def test_the_default_as_a_function_is_the_default(radio: str) -> None:
             env.reset(seed=SEED)
         for k in range(60):
             one, other = (
-                env.step(int(k % 3 == 0) if make is CADEnv else dict.fromkeys(env.agents, GO))[1] for env in (named, own)
+                env.step(int(k % 3 == 0) if make is CADEnv else dict.fromkeys(env.agents, GO))[1]
+                for env in (named, own)
             )
             assert one == pytest.approx(other, abs=1e-15)
 

@@ -20,7 +20,7 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.rules.expert import Expert, decisions, expert_of
 from cad_env.scenarios import SCENARIOS, SHIPPED, registry, scenario_named
 from cad_env.scenarios.left_turn import LEFT_TURN
-from cad_env.scenarios.registry import outside, outside_sources
+from cad_env.scenarios.registry import outside_sources, registered
 from cad_env.simulation.setup import Setup
 from cad_env.types import BRAKE
 
@@ -80,8 +80,11 @@ def test_a_copy_is_the_same_scenario(again):
 @pytest.mark.parametrize(
     ("other", "complaint"),
     [
-        (replace(OWN, gym_id="CADOther-v0"), "another scenario is called 'own_turn' already"),
-        (replace(LEFT_TURN, expert=Waits), "another scenario is called 'left_turn' already"),
+        (
+            replace(OWN, gym_id="CADOther-v0"),
+            r"scenario 'own_turn' \(CADOther-v0\) is known already",
+        ),
+        (replace(LEFT_TURN, expert=Waits), r"scenario 'left_turn' .* is known already"),
         (replace(OWN, name="other"), "another environment has the id 'CADOwnTurn-v0' already"),
         (replace(OWN, name="other", gym_id="CADLeftTurn-v0"), "another environment has the id 'CADLeftTurn-v0'"),
         (replace(OWN, name="other", gym_id="CartPole-v1"), "another environment has the id 'CartPole-v1' already"),
@@ -108,7 +111,7 @@ def test_it_is_found_by_reference_and_handed_on_by_it(monkeypatch: pytest.Monkey
     monkeypatch.syspath_prepend(Path(__file__).parent)
     found = scenario_named("test_registry:OWN")
     assert found.name == "own_turn"
-    assert outside() == ("test_registry:OWN",)
+    assert registered() == ("test_registry:OWN",)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +141,7 @@ def test_an_installed_one_is_imported_when_it_is_asked_for(monkeypatch: pytest.M
         scenario_named("right_turn")
     assert tuple(SCENARIOS) == SHIPPED
     assert scenario_named("own_turn").gym_id == "CADOwnTurn-v0"
-    assert outside() == ("test_registry:OWN",)
+    assert registered() == ("test_registry:OWN",)
 
 
 def test_an_entry_point_under_another_name_is_refused(monkeypatch: pytest.MonkeyPatch):
@@ -224,11 +227,11 @@ def test_further_commands_follow_the_six():
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"plans": asking(6)}, "route 'south_left' of 'own_turn' asks for command 6: choose among 0 to 5"),
-        ({"plans": asking(-1)}, "asks for command -1"),
-        ({"plans": asking("merge")}, "asks for command 'merge'"),
-        ({"plans": asking(True)}, "asks for command True"),
-        ({"plans": asking(8), "commands": ("reverse", "park")}, "choose among 0 to 7 (follow_lane, turn_left"),
+        ({"plans": asking(6)}, "route 'south_left' of own_turn has command 6, but there are 6 (follow_lane, turn_left"),
+        ({"plans": asking(-1)}, "has command -1, but"),
+        ({"plans": asking("merge")}, "has command 'merge', but"),
+        ({"plans": asking(True)}, "has command True, but"),
+        ({"plans": asking(8), "commands": ("reverse", "park")}, "has command 8, but there are 8 ("),
         ({"plans": (replace(LEFT_TURN.plans[0], commands=(0, 0)),)}, "must have a command for each of its lanes"),
         ({"commands": ("park", "park")}, "commands of 'own_turn' must be identifiers, each once"),
         ({"commands": ("turn_left",)}, "must be identifiers, each once"),

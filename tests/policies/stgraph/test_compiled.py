@@ -153,7 +153,7 @@ def test_10000_random_observations_are_decided_as_by_the_dense_network() -> None
 
 @pytest.mark.slow
 def test_10000_recorded_observations_are_decided_by_the_shipped_network_as_by_its_dense_self(tmp_path: Path) -> None:
-    model = load_model(shipped_models("left_turn") / "stgraph")
+    model = load_model(shipped_models() / "stgraph")
     seen = 0
     for scenario in SCENARIOS:
         envs = CADVectorEnv(32, scenario=scenario)

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from baselines.evaluation.settings import Settings
-from baselines.methods import method_named
 from baselines.paper.open_loop import FIRST_SEED
 from baselines.paper.presets import PRESETS
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
 from cad_env.types import BRAKE
+from policies.model_folder import load_model
 from policies.stgraph.network import StGraphConfig
 from policies.stgraph.policy import StGraphPolicy
 from policies.training import ppo
@@ -94,7 +94,7 @@ def test_a_run_that_is_stopped_goes_on_as_if_it_had_not(tmp_path: Path):
             train_ppo(tmp_path / name / "ppo", steps, 5, SCENES, config=config)
         models.append((tmp_path / name / "ppo" / "model.safetensors").read_bytes())
     assert models[0] == models[1]
-    policy = method_named("ppo").make_policy(tmp_path / "whole")
+    policy = load_model(tmp_path / "whole" / "ppo").policy()
     episodes = list(rollouts(CADVectorEnv(2, scenario="left_turn"), policy, range(2)))
     assert len(episodes) == 2
 

@@ -53,10 +53,10 @@ def registered_scenarios() -> tuple[Any, ...]:
 def register_scenarios(scenarios: Sequence[Any]) -> None:
     """Register them in another process."""
     if scenarios:
-        from cad_env.scenarios import register
+        from cad_env.scenarios import scenario_named
 
         for scenario in scenarios:
-            register(scenario)
+            scenario_named(scenario)
 
 
 def prefer_one_thread() -> None:

@@ -15,6 +15,7 @@ runs this once for every connected vehicle. No learning here, and no torch: netw
 """
 
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from cad_env.lidar.config import CloudConfig
     from cad_env.pipeline.varint import DecodeError
     from cad_env.scenarios import register
+    from cad_env.scenarios.scenario import Scenario
     from cad_env.scoring.rollout import Episode, rollout, rollouts
     from cad_env.scoring.scorecard import Scorecard, scorecards
     from cad_env.scoring.table import table
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
-    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "Scorecard", "SensorConfig", "StepOutcome",
+    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "Scenario", "Scorecard", "SensorConfig", "StepOutcome",
     "parallel_env", "register", "rollout", "rollouts", "scorecards", "table",
 ]  # fmt: skip
 __version__ = "0.1.0"
@@ -51,6 +53,7 @@ _LAZY = {
     "DecodeError": "cad_env.pipeline.varint",
     "Episode": "cad_env.scoring.rollout",
     "GraphCodec": "cad_env.simulation.graph_exchange",
+    "Scenario": "cad_env.scenarios.scenario",
     "Scorecard": "cad_env.scoring.scorecard",
     "StepOutcome": "cad_env.envs.rewards",
     "register": "cad_env.scenarios",
@@ -72,24 +75,33 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_LAZY})
 
 
-# Ids by name, not by import, so that `import cad_env` stays instant.
+def _id_of(scenario: str) -> str:
+    """highway_merge -> CADHighwayMerge-v0."""
+    return f"CAD{scenario.title().replace('_', '')}-v0"
+
+
+# Ids by name, not by import, so that `import cad_env` stays instant: of installed packages only the metadata is read.
 _IDS = {
+    "CADScenario-v0": None,  # any, as the keyword argument `scenario`
     "CADLeftTurn-v0": "left_turn",
     "CADOvertaking-v0": "overtaking",
     "CADStreetCrossing-v0": "street_crossing",
+    **{_id_of(entry.name): entry.name for entry in entry_points(group="cad_env.scenarios")},
 }
-for _id, _scenario in [*_IDS.items(), ("CADScenario-v0", None)]:
+for _id, _scenario in _IDS.items():
     if _id not in gym.registry:
         gym.register(
             _id,
             entry_point="cad_env.envs.single:CADEnv",
             vector_entry_point="cad_env.envs.vector:CADVectorEnv",
-            kwargs={} if _scenario is None else {"scenario": _scenario},  # CADScenario-v0 is told which one
+            kwargs={"scenario": _scenario},
         )
 
 
-def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> "CADParallelEnv":
-    """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
+def parallel_env(
+    env_id: "str | Scenario" = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any
+) -> "CADParallelEnv":
+    """The PettingZoo environment of an id or of a scenario, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
     from cad_env.envs.parallel import parallel_env as make
 
     return make(env_id, render_mode, **options)

@@ -44,6 +44,10 @@ class Command(IntEnum):
     CHANGE_RIGHT = 5
 
 
+COMMANDS = len(Command)  # a scenario may add further ones
+MOST_COMMANDS = 127  # in all: a map keeps them as int8
+
+
 class GraphArrays(NamedTuple):
     """A graph as the compiled stages see it: preallocated rows, of which the first `used[0]` are in use.
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from cad_env.config import check_range
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import Command, Floats, Ints, Observation
+from cad_env.types import COMMANDS, MOST_COMMANDS, Floats, Ints, Observation
 from policies.threshold_policy import ThresholdPolicy
 
 
@@ -23,19 +23,21 @@ class CommandConfig:
     """How wide it is."""
 
     width: int = 16
+    commands: int = COMMANDS  # of the scenarios it drives in
 
     def __post_init__(self) -> None:
         check_range("network width", self.width, 1, 1024)
+        check_range("network commands", self.commands, COMMANDS, MOST_COMMANDS)
 
 
 class CommandNet(nn.Module):
-    """From commands (B, 6) to the logits (B, 2) of GO and BRAKE; `seed` is the only source of the first weights."""
+    """From commands (B, C) to the logits (B, 2) of GO and BRAKE; `seed` is the only source of the first weights."""
 
     def __init__(self, config: CommandConfig, seed: int) -> None:
         super().__init__()
         self.config = config
         rng = torch.Generator().manual_seed(seed)
-        self.decide = nn.Sequential(nn.Linear(len(Command), config.width), nn.ReLU(), nn.Linear(config.width, 2))
+        self.decide = nn.Sequential(nn.Linear(config.commands, config.width), nn.ReLU(), nn.Linear(config.width, 2))
         with torch.no_grad():
             for weights in self.parameters():
                 bound = 1 / weights.shape[-1] ** 0.5
@@ -52,7 +54,7 @@ class CommandFrames:
     """F labelled commands."""
 
     label: Ints  # (F,) int8 what the expert would do
-    command: Ints  # (F, 6) int8
+    command: Ints  # (F, C) int8
 
     def __len__(self) -> int:
         """F."""
@@ -74,13 +76,15 @@ class CommandDriver(ThresholdPolicy):
     """Brakes for the commands of which the network is sure enough; the same alone and in any batch."""
 
     def __init__(self, network: nn.Module, threshold: float) -> None:
-        super().__init__(("command",), threshold)
+        config: Any = network.config
+        super().__init__(("command",), threshold, config.commands)
         with torch.no_grad():
-            logits = network(torch.eye(len(Command)))
-        self._brake: Floats = torch.softmax(logits.double(), dim=1)[:, 1].numpy()  # (6,) by command
+            logits = network(torch.eye(config.commands))
+        self._brake: Floats = torch.softmax(logits.double(), dim=1)[:, 1].numpy()  # (C,) by command
 
     def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """P(brake), (n,)."""
+        self.check_commands(observations)
         brake: Floats = self._brake[observations["command"].argmax(axis=1)]
         return brake
 
@@ -110,7 +114,7 @@ class CommandSpec:
         return {}
 
     def look(self, simulation: Simulation, observation: Observation) -> Ints:
-        """The command, (6,)."""
+        """The command, (C,)."""
         return observation["command"]
 
     def frames(self, looks: Sequence[Ints], labels: Sequence[int]) -> CommandFrames:

@@ -17,11 +17,13 @@ from torch import Tensor, nn
 
 from cad_env.config import check_range
 from cad_env.files import replace_file
+from cad_env.types import COMMANDS
 from policies.registry import spec_named
 from policies.spec import LearnedPolicy, NetworkSpec
 
 FORMAT = 1
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
+_ADDED = {"commands": COMMANDS}  # knobs that models of before do not name, and what they were
 _KEYS = {"format", "spec", "network", "threshold", "sha256", "training"}
 
 
@@ -138,7 +140,9 @@ def _check_keys(path: Path, what: str, given: dict[str, Any], wanted: set[str]) 
 
 
 def _network(path: Path, spec: NetworkSpec, knobs: dict[str, Any]) -> nn.Module:
-    _check_keys(path, "network key", knobs, {knob.name for knob in fields(spec.config_type)})
+    known = {knob.name for knob in fields(spec.config_type)}
+    knobs = {**{name: value for name, value in _ADDED.items() if name in known}, **knobs}
+    _check_keys(path, "network key", knobs, known)
     try:
         return spec.build(spec.config_type(**knobs), seed=0)
     except (ValueError, TypeError) as error:

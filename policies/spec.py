@@ -5,14 +5,16 @@ for them, and how a batch becomes logits. Demonstrations, DAgger, validation and
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from typing import Any, Protocol, TypeVar
 
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from cad_env.scenarios.registry import commands_of
 from cad_env.scoring.rollout import BatchPolicy
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import Ints, Observation, Policy
+from cad_env.types import COMMANDS, Ints, Observation, Policy
 
 Batch = Mapping[str, NDArray[Any]]  # arrays with a leading dimension B
 Self = TypeVar("Self", bound="Frames")
@@ -83,3 +85,16 @@ class NetworkSpec(Protocol):
 
     def policy(self, network: nn.Module, threshold: float) -> LearnedPolicy:
         """The network as it is now, as a policy that brakes when P(brake) reaches the threshold."""
+
+
+def fitting(config: Any, scenarios: Sequence[str]) -> Any:
+    """The knobs of a network for some scenarios: with as many `commands` as these have, where there is such a knob.
+
+    ValueError, one line, for scenarios that differ in it, and for a number that was chosen and is another one.
+    """
+    wanted = commands_of(scenarios)
+    if "commands" not in {knob.name for knob in fields(config)} or config.commands == wanted:
+        return config
+    if config.commands != COMMANDS:
+        raise ValueError(f"network commands must be {wanted}, as {' '.join(scenarios)} have, got {config.commands}")
+    return replace(config, commands=wanted)

@@ -18,14 +18,15 @@ _CLOUDS_AT_ONCE = 64  # scenes in one pass
 class ThresholdPolicy:
     """Brakes when P(brake) reaches the threshold; decides each scene by itself, alone or in a batch.
 
-    A kind of policy says what it reads of an observation, `keys`, and how sure it is, `brake_probability`.
+    A kind of policy says what it reads of an observation, `keys`, how sure it is, `brake_probability`, and how many
+    `commands` its network reads, None if it reads none.
     """
 
     privileged = False
 
-    def __init__(self, keys: Sequence[str], threshold: float) -> None:
+    def __init__(self, keys: Sequence[str], threshold: float, commands: int | None = None) -> None:
         check_range("threshold", threshold, 0.0, 1.0)
-        self.keys, self.threshold = tuple(keys), threshold
+        self.keys, self.threshold, self.commands = tuple(keys), threshold, commands
 
     def reset(self, seed: int) -> None:
         """Nothing to forget and nothing to draw: all memory is in the observation."""
@@ -37,6 +38,14 @@ class ThresholdPolicy:
     def act_batch(self, observations: Mapping[str, NDArray[Any]]) -> Ints:
         """GO or BRAKE, (n,), for observations stacked along a new first axis."""
         return (self.brake_probability(observations) >= self.threshold).astype(np.int64)
+
+    def check_commands(self, observations: Mapping[str, NDArray[Any]]) -> None:
+        """Refuse scenes of another number of commands than the network was made for: ValueError, one line."""
+        if self.commands is not None and observations["command"].shape[-1] != self.commands:
+            raise ValueError(
+                f"the network was made for {self.commands} commands, "
+                f"and this scenario has {observations['command'].shape[-1]}"
+            )
 
     def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """P(brake), (n,), for observations stacked along a new first axis."""
@@ -70,11 +79,13 @@ class PointsPolicy(ThresholdPolicy):
     """
 
     def __init__(self, network: nn.Module, threshold: float = 0.5) -> None:
-        super().__init__(("cloud", "cloud_mask", "command"), threshold)
+        config: Any = network.config
+        super().__init__(("cloud", "cloud_mask", "command"), threshold, config.commands)
         self._logits = DenseNet(network, _CLOUDS_AT_ONCE)
 
     def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """P(brake), (n,), for observations stacked along a new first axis."""
+        self.check_commands(observations)
         logits = torch.from_numpy(self._logits({key: observations[key] for key in self.keys}))
         probability: NDArray[np.float64] = torch.softmax(logits, dim=1)[:, 1].numpy()
         return probability

@@ -6,7 +6,6 @@ from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from baselines.cli import Progress
@@ -20,7 +19,7 @@ from baselines.methods import method_named
 from baselines.references import is_reference
 from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.scenarios import scenario_named, source_of
+from cad_env.scenarios import outside_sources
 from cad_env.scoring.rollout import BatchPolicy, rollouts
 from cad_env.scoring.scorecard import Record, Scorecard, record_of, scorecards
 from cad_env.version import version
@@ -81,7 +80,7 @@ def identity(settings: Settings) -> dict[str, Any]:
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
         **{f"model of {name}": digest for name, digest in digests.items() if digest is not None},
         **{f"knowledge of {name}": method_named(name).knows for name in settings.method if is_reference(name)},
-        **{f"source of {name}": digest for name, digest in _outside_scenarios(settings).items()},
+        **{what: digest for name in settings.scenarios() for what, digest in outside_sources(name).items()},
         "version of cad_env": version(),
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
@@ -92,16 +91,6 @@ def digest_of(settings: Settings) -> str:
     """The identity in 16 hexadecimal digits."""
     known = {name: value for name, value in identity(settings).items() if name not in MAY_DIFFER}
     return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
-
-
-def _outside_scenarios(settings: Settings) -> dict[str, str]:
-    """Digests of the files that draw the scenarios from outside."""
-    found = {name: source_of(scenario_named(name)) for name in settings.scenarios()}
-    return {
-        name: hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16]
-        for name, path in found.items()
-        if path is not None
-    }
 
 
 def _missing(settings: Settings, store: Store) -> list[Task]:

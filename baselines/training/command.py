@@ -56,7 +56,7 @@ class TrainSettings:
 
     def folder(self) -> Path:
         """Where everything goes."""
-        return self.out or Path("runs") / "+".join(self.scenario)
+        return self.out or Path("runs") / "+".join(name.rpartition(":")[-1] for name in self.scenario)
 
     def models(self, seed: int) -> Path:
         """The folder of the models of a training seed."""

@@ -65,10 +65,12 @@ def course_of(row: LearnedMethod, seed: int, budget: Budget, knobs: Mapping[str,
 
 def claim(folder: Path, course: "Course") -> None:
     """Note in the folder of a row what it is trained with; ValueError if that is not what it was begun with."""
+    from cad_env.scenarios.registry import outside_sources
     from cad_env.version import version
 
     path = folder / COURSE
-    wanted = json.loads(json.dumps({**asdict(course), "version of cad_env": version()}))
+    sources = {what: digest for name in course.scenarios for what, digest in outside_sources(name).items()}
+    wanted = json.loads(json.dumps({**asdict(course), "version of cad_env": version(), **sources}))
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())

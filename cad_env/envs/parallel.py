@@ -19,7 +19,8 @@ from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
-from cad_env.scenarios import SCENARIOS
+from cad_env.scenarios.registry import scenario_of_id
+from cad_env.scenarios.scenario import Scenario
 from cad_env.simulation.scene_step import MAX_STEPS
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
@@ -68,8 +69,8 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         self.render_mode = render_mode
         self.max_cycles = max_cycles
         most = self.simulation.scenario.most_connected(self.simulation.ranges, self.simulation.traffic)
-        commands = self.simulation.scenario.command_count
         self.possible_agents = [f"cav_{k}" for k in range(most)]
+        commands = self.simulation.scenario.command_count
         self.observation_spaces = {agent: observation_space(commands) for agent in self.possible_agents}
         self.action_spaces = {agent: spaces.Discrete(2) for agent in self.possible_agents}
         self.state_space = global_state_space()
@@ -227,12 +228,10 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         self._viewer = None
 
 
-def parallel_env(env_id: str = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any) -> CADParallelEnv:
-    """The PettingZoo environment of a registered id, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
-    ids = {scenario.gym_id: scenario.name for scenario in SCENARIOS.values()}
-    env_id = env_id.removeprefix("cad_env:")
-    if env_id == "CADScenario-v0":
-        return CADParallelEnv(render_mode=render_mode, **options)
-    if env_id not in ids:
-        raise ValueError(f"unknown environment {env_id!r}: choose among {', '.join(ids)}, CADScenario-v0")
-    return CADParallelEnv(render_mode=render_mode, scenario=ids[env_id], **options)
+def parallel_env(
+    env_id: str | Scenario = "CADLeftTurn-v0", render_mode: str | None = None, **options: Any
+) -> CADParallelEnv:
+    """The PettingZoo environment of an id or of a scenario, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
+    if env_id not in ("CADScenario-v0", "cad_env:CADScenario-v0"):  # which has its scenario among the options
+        options["scenario"] = env_id if isinstance(env_id, Scenario) else scenario_of_id(env_id)
+    return CADParallelEnv(render_mode=render_mode, **options)

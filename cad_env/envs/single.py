@@ -29,13 +29,14 @@ _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "de
 class CADEnv(AbstractEnv):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
-    Keyword arguments, or the same names in highway-env's `config`: `scenario`, `radio` (preset name, RadioConfig or
-    dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud` (CloudConfig or dict:
-    points are shared, not graphs), `traffic` (none, light or dense), `penetration` (share of the vehicles that is
-    connected, None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists` (True adds to info
-    what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's view), `share` and
-    `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step, cad_env.envs.rewards). By default the
-    reward of a step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision.
+    Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset
+    name, RadioConfig or dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud`
+    (CloudConfig or dict: points are shared, not graphs), `traffic` (none, light or dense), `penetration` (share of the
+    vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists`
+    (True adds to info what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's
+    view), `share` and `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step,
+    cad_env.envs.rewards). By default the reward of a step is the share of the way to the goal covered in it, +1 on
+    arrival, -1 on a collision.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})
@@ -85,8 +86,13 @@ class CADEnv(AbstractEnv):
         setup = setup_from({k: v for k, v in {**self.config, **given}.items() if k in _SETUP})
         if hasattr(self, "simulation") and self.simulation.setup.cloud != setup.cloud:
             raise ValueError(f"cloud is a part of the observation and cannot change later, got {setup.cloud!r}")
+        simulation = Simulation(setup)
+        if hasattr(self, "simulation") and simulation.scenario.command_count != self.simulation.scenario.command_count:
+            raise ValueError(
+                f"commands are a part of the observation and cannot change later, got the scenario {setup.scenario!r}"
+            )
         super().configure(given)
-        self.simulation = Simulation(setup)
+        self.simulation = simulation
 
     def define_spaces(self) -> None:
         """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""

@@ -15,7 +15,7 @@ from cad_env.envs.rewards import Reward, ego_step, progress, reward_named
 from cad_env.envs.single import checked_hazard
 from cad_env.lidar.config import space_with
 from cad_env.scenarios.scenario import Scenario
-from cad_env.simulation.batch import SceneBatch, masked, one_command_count
+from cad_env.simulation.batch import SceneBatch, masked
 from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
 from cad_env.simulation.setup import setup_from
 from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
@@ -26,8 +26,8 @@ Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
 class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
     """`num_envs` scenes, each as CADEnv gives it: observations, rewards, seeds and infos are equal to the last bit.
 
-    Keyword arguments: those of CADEnv but `config` and `render_mode`; `scenario` may also be a sequence of names, which
-    the scenes take in turn. `autoreset_mode` is one of Gymnasium's ("NextStep", "SameStep", "Disabled"), `copy=False`
+    Keyword arguments: those of CADEnv but `config` and `render_mode`; `scenario` may also be a list of them, which the
+    scenes take in turn. `autoreset_mode` is one of Gymnasium's ("NextStep", "SameStep", "Disabled"), `copy=False`
     hands out the same arrays at every step. Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
 
     >>> envs = CADVectorEnv(num_envs=3, radio="dsrc")
@@ -54,12 +54,14 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         self._reward = reward_named(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        names = [scenario] if isinstance(scenario, str | Scenario) else list(scenario)
+        names = [scenario] if scenario is None or isinstance(scenario, str | Scenario) else list(scenario)
         if not names:
             raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]
         self.batch = SceneBatch([setups[place % len(setups)] for place in range(num_envs)])
-        self.single_observation_space: spaces.Dict = space_with(setups[0].cloud, one_command_count(setups))
+        self.single_observation_space: spaces.Dict = space_with(
+            setups[0].cloud, self.batch.simulations[0].scenario.command_count
+        )
         self.single_action_space: spaces.Discrete = spaces.Discrete(2)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

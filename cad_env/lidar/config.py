@@ -10,7 +10,7 @@ from gymnasium import spaces
 from cad_env.config import check_names, check_range
 from cad_env.lidar.points import MOST_POINTS, RawPoints, Reads
 from cad_env.pipeline.observe import HORIZON, observation_space
-from cad_env.types import Command, Floats, Ints
+from cad_env.types import COMMANDS, Floats, Ints
 
 MOST_AZIMUTHS, MOST_BEAMS, MOST_MERGED = 8192, 128, 65536
 
@@ -86,7 +86,7 @@ def empty_cloud_view(config: CloudConfig, *lead: int) -> CloudView:
     )
 
 
-def space_with(config: CloudConfig | None, commands: int = len(Command)) -> spaces.Dict:
+def space_with(config: CloudConfig | None, commands: int = COMMANDS) -> spaces.Dict:
     """The space of the ego's observation: that of graphs, and with clouds their two boxes."""
     boxes = dict(observation_space(commands).spaces)
     if config is not None:

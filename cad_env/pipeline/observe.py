@@ -12,11 +12,11 @@ from gymnasium import spaces
 
 from cad_env.numerics.jit import compiled, compiled_part
 from cad_env.types import (
+    COMMANDS,
     FRAMES,
     OBSERVED_TRACKS,
     ROUTE_POINTS,
     ROUTE_SPACING,
-    Command,
     Floats,
     GraphArrays,
     Ints,
@@ -37,13 +37,13 @@ class View(NamedTuple):
     kind: Ints  # (K,) int8
     odometry: Floats  # (T, 3) m, m, rad: the ego's pose in each frame, in its newest frame
     ego: Floats  # (4,) speed m/s, wanted speed m/s, length m, width m
-    command: Ints  # (6,) int8 one-hot
+    command: Ints  # (C,) int8 one-hot: the six of Command, and those that the scenario adds
     route: Floats  # (ROUTE_POINTS, 2) m, the way ahead every ROUTE_SPACING
     oncoming: Ints  # (ROUTE_POINTS,) int8 1 where the way ahead is in a lane of oncoming traffic
 
 
-def empty_view(*lead: int, commands: int = len(Command)) -> View:
-    """An observation of nothing; leading dimensions stack views."""
+def empty_view(*lead: int, commands: int = COMMANDS) -> View:
+    """An observation of nothing; leading dimensions stack views. `commands`: C, how many the scenario has."""
     return View(
         np.zeros((*lead, OBSERVED_TRACKS, FRAMES, 3), np.float32), np.zeros((*lead, OBSERVED_TRACKS, FRAMES), np.int8),
         np.zeros((*lead, OBSERVED_TRACKS), np.int8), np.zeros((*lead, FRAMES, 3), np.float32),
@@ -52,7 +52,7 @@ def empty_view(*lead: int, commands: int = len(Command)) -> View:
     )  # fmt: skip
 
 
-def observation_space(commands: int = len(Command)) -> spaces.Dict:
+def observation_space(commands: int = COMMANDS) -> spaces.Dict:
     """The space of every agent's observation: a flat Dict of finite boxes."""
 
     def metres(*shape: int) -> spaces.Box:

@@ -30,13 +30,24 @@ def screen(map_: Map, share: float = 1.0) -> dict[str, Any]:
 
 
 def focus(simulation: Simulation, view: Floats) -> Floats:
-    """(2,) m: what a picture of `view` (2,) m is about: the middle of a junction; on a long road, the ego."""
+    """(2,) m: what a picture of `view` (2,) m is about: the middle of a junction; on a long road, the ego.
+
+    Across a long road it is the middle too, or where the ego is going if the picture does not take in all of it.
+    """
     low, high = _extent(simulation.map)
     size, ego = high - low, simulation.world.position[simulation.agents[0]]
     middle = 0.5 * (low + high)
-    free = np.maximum(0.5 * view - MARGIN, 0.0)
-    followed: Floats = np.where(size[::-1] < SLENDER * size, ego, np.clip(middle, ego - free, ego + free))
+    free, along = np.maximum(0.5 * view - MARGIN, 0.0), size[::-1] < SLENDER * size
+    about = np.where(along[::-1] & (size > view), _goal(simulation), middle)
+    followed: Floats = np.where(along, ego, np.clip(about, ego - free, ego + free))
     return followed
+
+
+def _goal(simulation: Simulation) -> Floats:
+    """(2,) m: where the ego has arrived."""
+    routes, route = simulation.map.routes, simulation.world.route[simulation.agents[0]]
+    place: Floats = routes.point[route, int(simulation.scene.goal / routes.spacing)]
+    return place
 
 
 def _extent(map_: Map) -> tuple[Floats, Floats]:

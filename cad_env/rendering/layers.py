@@ -109,9 +109,8 @@ def outcome(simulation: Simulation, canvas: Canvas) -> None:
     _dot_way(simulation, canvas, ego)
     decision, colour = DECISIONS[int(world.command[ego, -1] == BRAKE)]
     x = canvas.note(10, 20, Tag(decision, colour, size=18))
-    command = (
-        simulation.scenario.command_name(int(np.argmax(simulation.fleet.views.command[0]))).replace("_", " ").lower()
-    )
+    number = int(np.argmax(simulation.fleet.views.command[0]))
+    command = simulation.scenario.command_names[number].replace("_", " ")
     for text in (f"{world.speed[ego]:.1f} m/s", f"{simulation.time:.1f} s", command):
         x = canvas.note(x + 6, 20, Tag(text, size=14))
     end = simulation.outcome()

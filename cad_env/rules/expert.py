@@ -1,4 +1,4 @@
-"""The expert: the rules on the truth. Scenarios may bring one of their own."""
+"""Who knows the truth and shows how to drive: the rules on the truth, or what a scenario brings of its own."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,8 +8,9 @@ import numpy as np
 from cad_env.numerics.jit import compiled
 from cad_env.rules.planner import PlannerConfig, Rule, decide, oncoming_stretch
 from cad_env.scenarios import scenario_named
+from cad_env.scenarios.scenario import Scenario
 from cad_env.simulation.scene_step import Truths, scene_at
-from cad_env.types import ROUTE_SPACING, Ints
+from cad_env.types import ROUTE_SPACING, Ints, Policy
 from cad_env.world.state import OFF, Routes, Truth, World
 
 
@@ -70,7 +71,21 @@ def _decide(records: Any, which: Ints, rule: Rule, chosen: Ints) -> None:
         chosen[k] = decide_on_truth(scene.world, scene.routes, scene.fleet.rows[0], rule)
 
 
-def expert_of(scenario: Any) -> Any:
-    """The expert of a scenario (a name or the object): its own, or the shipped one."""
-    own = scenario_named(scenario).expert
-    return Expert() if own is None else own()
+def expert_of(scenario: str | Scenario) -> Policy:
+    """Whom the networks imitate in a scenario: its own expert if it brings one, else `Expert`.
+
+    ValueError, one line, for one that is not privileged: labels follow from the truth.
+    """
+    made = scenario_named(scenario)
+    expert: Policy = Expert() if made.expert is None else made.expert()
+    if not expert.privileged:
+        raise ValueError(f"the expert of {made.name!r} must be privileged, got {expert!r}")
+    return expert
+
+
+def decisions(expert: Any, truths: Truths) -> Ints:
+    """GO or BRAKE, (n,), of an expert in n scenes; at once where it has `act_batch`. It must have no memory."""
+    if hasattr(expert, "act_batch"):
+        chosen: Ints = np.asarray(expert.act_batch(truths))
+        return chosen
+    return np.array([expert.act(truth) for truth in truths.each()], np.int64)

@@ -23,7 +23,7 @@ class RoutePlan:
 
     name: str
     lanes: tuple[tuple[str, str, int], ...]
-    commands: tuple[Command | int, ...]
+    commands: tuple[Command | int, ...]  # one a lane; numbers beyond Command are further ones of the scenario
     oncoming: tuple[float, float] | None = None  # m along it, from where to where a car's body is in an oncoming lane
 
 

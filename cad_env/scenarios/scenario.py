@@ -13,7 +13,7 @@ from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
 from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows
-from cad_env.types import Command
+from cad_env.types import COMMANDS, MOST_COMMANDS, Command, Policy
 from cad_env.world.state import Routes
 
 
@@ -53,24 +53,29 @@ class Scenario:
     plans: tuple[RoutePlan, ...]
     actors: Callable[[Map, Any, np.random.Generator, bool], Actors] = field(repr=False)
     background: Callable[[Map, Actors, np.random.Generator], Groups] = field(repr=False)
-    expert: Callable[[], Any] | None = field(default=None, repr=False)  # makes its own expert; None: the shipped one
-    commands: tuple[str, ...] = ()  # names of commands beyond the paper's six; the first is number 6
+    # Who knows the truth and shows how to drive: privileged and without memory. None: cad_env.rules.expert.Expert.
+    expert: Callable[[], Policy] | None = field(default=None, repr=False)
+    commands: tuple[str, ...] = ()  # names of what routes ask beyond the six of `Command`; the numbers go on from there
 
     def __post_init__(self) -> None:
-        for plan in self.plans:
-            if unknown := [int(command) for command in plan.commands if not 0 <= command < self.command_count]:
-                raise ValueError(
-                    f"route {plan.name!r} of {self.name} has command {unknown[0]}, but there are {self.command_count}"
-                )
+        _check_name(self.name)
+        object.__setattr__(self, "plans", tuple(self.plans))
+        object.__setattr__(self, "commands", tuple(self.commands))
+        _check_commands(self)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Scenario":
+        """Itself: nothing in it ever changes. Gymnasium copies the arguments of its environments."""
+        return self
+
+    @property
+    def command_names(self) -> tuple[str, ...]:
+        """Of all that its routes may ask, by number, as the one-hot of an observation has them."""
+        return (*(command.name.lower() for command in Command), *self.commands)
 
     @property
     def command_count(self) -> int:
-        """Commands that its routes may ask for: the width of the one-hot in an observation."""
-        return len(Command) + len(self.commands)
-
-    def command_name(self, command: int) -> str:
-        """What a command is called, e.g. TURN_LEFT."""
-        return Command(command).name if command < len(Command) else self.commands[command - len(Command)].upper()
+        """C, how many these are."""
+        return COMMANDS + len(self.commands)
 
     @property
     def map(self) -> Map:
@@ -107,6 +112,30 @@ class Scenario:
         return len(actors.vehicles) - 1 + DENSITIES[traffic.density][1]
 
 
+def _check_name(name: Any) -> None:
+    """A name is part of folders, of command lines and of Python."""
+    if not isinstance(name, str) or not name.isidentifier() or name == "all":
+        raise ValueError(f"the name of a scenario must be an identifier like highway_merge, got {name!r}")
+
+
+def _check_commands(scenario: Scenario) -> None:
+    """Refuse what an observation has no place for: compiled code would write beyond it."""
+    names = scenario.command_names
+    if any(not isinstance(name, str) or not name.isidentifier() for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"commands of {scenario.name!r} must be identifiers, each once, got {scenario.commands!r}")
+    if len(names) > MOST_COMMANDS:
+        raise ValueError(f"{scenario.name!r} must have at most {MOST_COMMANDS} commands in all, got {len(names)}")
+    for plan in scenario.plans:
+        if len(plan.commands) != len(plan.lanes):
+            raise ValueError(f"route {plan.name!r} must have a command for each of its lanes, got {plan.commands!r}")
+        for command in plan.commands:
+            if isinstance(command, bool) or not isinstance(command, int) or not 0 <= command < len(names):
+                raise ValueError(
+                    f"route {plan.name!r} of {scenario.name} has command {command!r}, "
+                    f"but there are {len(names)} ({', '.join(names)})"
+                )
+
+
 @cache
 def _build_map(scenario: Scenario) -> Map:
     network = scenario.network()
@@ -118,6 +147,10 @@ def _taken(groups: Groups, count: int, rng: np.random.Generator) -> list[Placeme
     left = [list(group) for group in groups if group]
     chosen: list[Placement] = []
     while len(chosen) < count:
+        if not left:
+            raise ValueError(
+                f"the background of a scenario must offer more vehicles: {count} are wanted, {len(chosen)} there"
+            )
         group = left[int(rng.integers(len(left)))]
         chosen.append(group.pop(0))
         left = [group for group in left if group]

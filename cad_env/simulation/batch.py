@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cad_env.lidar.config import CloudConfig
-from cad_env.scenarios import scenario_named
+from cad_env.scenarios.registry import commands_of
 from cad_env.simulation.cloud_exchange import exchange
 from cad_env.simulation.scene_step import OUTCOME_BY_CODE, BatchState, Truths, play
 from cad_env.simulation.setup import Setup
@@ -21,8 +21,9 @@ class SceneBatch:
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
+        commands = commands_of(setup.scenario for setup in setups)
         # For compiled loops of one's own: `cad_env.simulation.scene_step.scene_at`.
-        self.batch_state = BatchState(len(setups), _one_cloud(setups), one_command_count(setups))
+        self.batch_state = BatchState(len(setups), _one_cloud(setups), commands)
         self.simulations = [Simulation(setup, self.batch_state, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
         # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
@@ -114,14 +115,6 @@ def _one_cloud(setups: Sequence[Setup]) -> CloudConfig | None:
     if len(shapes) > 1:
         raise ValueError(f"scenes side by side must all share graphs or clouds of one shape, got {shapes}")
     return clouds[0] if clouds else None
-
-
-def one_command_count(setups: Sequence[Setup]) -> int:
-    """How many commands the scenarios have; ValueError if their observations would not be of one shape."""
-    counts = {scenario_named(setup.scenario).command_count for setup in setups}
-    if len(counts) > 1:
-        raise ValueError(f"scenes side by side must have equally many commands, got {sorted(counts)}")
-    return counts.pop()
 
 
 def masked(values: dict[str, NDArray[Any]], which: Bools) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
-from cad_env.types import COLLISION, FRAMES, SUCCESS, TIMEOUT, Bytes, Command, Floats, Ints
+from cad_env.types import COLLISION, COMMANDS, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance
 from cad_env.world.time_to_contact import time_to_contact
@@ -68,7 +68,7 @@ class SceneState(NamedTuple):
 class BatchState:
     """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
 
-    def __init__(self, places: int, cloud: CloudConfig | None = None, commands: int = len(Command)) -> None:
+    def __init__(self, places: int, cloud: CloudConfig | None = None, commands: int = COMMANDS) -> None:
         self.step_info = _no_step_info(places)
         self.views: View = empty_view(places, 1, commands=commands)  # what each ego decides on
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
@@ -88,9 +88,10 @@ class BatchState:
         """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
         return self.clouds and CloudView(*(part[place] for part in self.clouds))
 
-    def scene(self, place: int) -> SceneState:
-        """The scene that has a place."""
-        return self._scenes[place]
+    def truth_at(self, place: int) -> Truth:
+        """What the ego of the scene at `place` would know if it saw everything."""
+        scene = self._scenes[place]
+        return Truth(scene.world, scene.routes, int(scene.fleet.rows[0]))
 
     def put(self, place: int, scene: SceneState) -> None:
         """Let a new scene take a place."""
@@ -199,7 +200,6 @@ class Truths:
     which: Ints  # (n,)
 
     def each(self) -> Iterator[Truth]:
-        """The world of each of the scenes, one after another."""
+        """The truth of one scene after another, for rules that are not compiled."""
         for place in self.which.tolist():
-            scene = self.batch_state.scene(place)
-            yield Truth(scene.world, scene.routes, int(scene.fleet.rows[0]))
+            yield self.batch_state.truth_at(place)

@@ -16,7 +16,7 @@ from cad_env.types import FRAMES
 class Setup:
     """Everything about an environment that is not drawn from the seed."""
 
-    scenario: str = "left_turn"
+    scenario: Any = "left_turn"  # given as a name or a Scenario; afterwards its name
     ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
     traffic: str = "light"  # none, light or dense: how much is on the road around the cast
     penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
@@ -40,7 +40,9 @@ class Setup:
         if self.cloud is not None and self.exchanges_graphs:
             raise ValueError("share and codec are for graphs: leave them out where points are shared (cloud)")
         Traffic(self.traffic, self.penetration)
-        scenario_named(self.scenario).configured(dict(self.ranges))
+        scenario = scenario_named(self.scenario)
+        scenario.configured(dict(self.ranges))
+        object.__setattr__(self, "scenario", scenario.name)
 
     @property
     def exchanges_graphs(self) -> bool:

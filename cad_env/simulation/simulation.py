@@ -72,11 +72,8 @@ class Simulation:
         self.world: World = place(self.scene, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
         vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
-        views = (
-            self._batch_state.views_at(self._place)
-            if count == 1
-            else empty_view(count, commands=self.scenario.command_count)
-        )
+        commands = self.scenario.command_count
+        views = self._batch_state.views_at(self._place) if count == 1 else empty_view(count, commands=commands)
         self.fleet: Fleet = new_fleet(self.agents, vehicles, count, self._link)._replace(views=views)
         self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
         goal, step_info = self.scene.goal, self._batch_state.step_info_at(self._place)
@@ -104,11 +101,8 @@ class Simulation:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy is a batch of one, whatever batch the original has its place in."""
         self.__dict__.update(state)
-        self._batch_state, self._place, self._which = (
-            BatchState(1, commands=self.scenario.command_count),
-            0,
-            np.zeros(1, np.int64),
-        )
+        commands = self.scenario.command_count
+        self._batch_state, self._place, self._which = BatchState(1, commands=commands), 0, np.zeros(1, np.int64)
         if "_scene_state" in state:
             self._batch_state.put(0, self._scene_state)
 

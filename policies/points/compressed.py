@@ -21,7 +21,7 @@ from cad_env.lidar.config import CloudConfig, OwnCloud
 from cad_env.lidar.points import KEPT, Reads, relative, thinned
 from cad_env.pipeline.radio import REACHES
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import Floats, Ints, Observation
+from cad_env.types import COMMANDS, MOST_COMMANDS, Floats, Ints, Observation
 from policies.layers import Linear
 from policies.points import feature_codec
 from policies.points.frames import CloudFrames, Seen, record_of, seen
@@ -42,7 +42,7 @@ VOXEL = 4.0  # m
 VEHICLES = 5  # whose keypoints the receiver has room for: its own and those of four others
 MOST_KEYPOINTS = 128
 _SIZES = {"points": 65_536, "neighbours": 64, "width": 256, "levels": 5, "channels": 256, "pooled_width": 256,
-          "mlp_width": 1024}  # fmt: skip
+          "mlp_width": 1024, "commands": MOST_COMMANDS}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,10 @@ class CompressedConfig:
     channels: int = 128  # features of a keypoint, as sent
     pooled_width: int = 32  # channels of a voxel, at the receiver
     mlp_width: int = 32
+    commands: int = COMMANDS  # of the scenarios it drives in
 
     def __post_init__(self) -> None:
-        check_sizes(self, _SIZES, {"levels": 0})
+        check_sizes(self, _SIZES, {"levels": 0, "commands": COMMANDS})
         if self.keypoints > MOST_KEYPOINTS:
             raise ValueError(
                 f"network levels={self.levels} leaves {self.keypoints} keypoints of {self.points} points, "
@@ -95,7 +96,7 @@ class CompressedNet(nn.Module):
         self.send = Linear(config.width, config.channels, rng)
         self.pool, self.place = (Linear(n, config.pooled_width, rng) for n in (config.channels, 3))
         self.mix = Linear(config.pooled_width, config.pooled_width, rng)
-        self.decide = decision(config.pooled_width, config.mlp_width, rng)
+        self.decide = decision(config.pooled_width, config.commands, config.mlp_width, rng)
 
     def encode(self, grid: Floats, first: Ints) -> tuple[Floats, Tensor, Ints]:
         """Keypoints (P, 3) m and their features (P, channels) of clouds in order, and where each begins (C + 1,)."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cad_env.types import Command, Floats, Ints
+from cad_env.types import Floats, Ints
 from policies.layers import Linear
 from policies.points.neighbours import farthest, largest, nearest
 
@@ -171,7 +171,7 @@ def mean(x: Tensor, group: Tensor, groups: int) -> Tensor:
     return x.new_zeros(groups, x.shape[1]).index_add(0, group, x) / count.unsqueeze(1)
 
 
-def decision(inputs: int, width: int, rng: torch.Generator) -> nn.Sequential:
-    """From features (B, inputs) of the scene and the command (B, 6), side by side, to logits (B, 2)."""
-    first = Linear(inputs + len(Command), width, rng)
+def decision(inputs: int, commands: int, width: int, rng: torch.Generator) -> nn.Sequential:
+    """From features (B, inputs) of the scene and the command (B, commands), side by side, to logits (B, 2)."""
+    first = Linear(inputs + commands, width, rng)
     return nn.Sequential(first, nn.ReLU(), Linear(width, width, rng), nn.ReLU(), Linear(width, 2, rng))

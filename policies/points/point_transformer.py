@@ -17,12 +17,13 @@ from torch import Tensor, nn
 from cad_env.lidar.config import CloudConfig
 from cad_env.lidar.points import RawPoints
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import Ints, Observation
+from cad_env.types import COMMANDS, MOST_COMMANDS, Ints, Observation
 from policies.points.frames import CloudFrames, Seen, record_of, seen
 from policies.points.layers import Backbone, check_sizes, cloud_of, decision, in_order, mean, most
 from policies.threshold_policy import PointsPolicy
 
-_SIZES = {"merged": 65_536, "neighbours": 64, "width": 256, "levels": 5, "mlp_width": 1024}
+_SIZES = {"merged": 65_536, "neighbours": 64, "width": 256, "levels": 5, "mlp_width": 1024,
+          "commands": MOST_COMMANDS}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,10 @@ class PointTransformerConfig:
     width: int = 16  # channels at the first level; twice as many at every next one
     levels: int = 2  # transitions down, each to a quarter of the points
     mlp_width: int = 32
+    commands: int = COMMANDS  # of the scenarios it drives in
 
     def __post_init__(self) -> None:
-        check_sizes(self, _SIZES, {"levels": 0})
+        check_sizes(self, _SIZES, {"levels": 0, "commands": COMMANDS})
 
 
 PAPER_SIZE = PointTransformerConfig(merged=4096, neighbours=16, width=32, levels=4)
@@ -59,7 +61,7 @@ class PointTransformerNet(nn.Module):
         self.config = config = config or PointTransformerConfig()
         rng = torch.Generator().manual_seed(seed)
         self.backbone = Backbone(config.width, config.neighbours, config.levels, 2, rng)
-        self.decide = decision(2 * self.backbone.width, config.mlp_width, rng)
+        self.decide = decision(2 * self.backbone.width, config.commands, config.mlp_width, rng)
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Logits (B, 2) for `cloud` (B, M, 3) m, `cloud_mask` (B, M) and `command` (B, 6)."""

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 from cad_env.config import check_range
-from cad_env.types import Command
+from cad_env.types import COMMANDS, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
-_SIZES = {"commands": 64, "hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
+_SIZES = {"commands": MOST_COMMANDS, "hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
+_LEAST = {"commands": COMMANDS}
 _SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
 
 
@@ -47,13 +48,13 @@ class StGraphConfig:
     velocity: bool = False  # nodes carry their track's least-squares velocity over the window, the ego node its speed
     ego_speed: bool = False  # the ego's speed beside the command
     class_input: bool = False  # nodes say whether they are a truck
-    commands: int = len(Command)  # that its scenarios have; more than six where one brings its own
+    commands: int = COMMANDS  # that its scenarios have; more than six where one brings its own
 
     def __post_init__(self) -> None:
         for name, most in _SIZES.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
-                raise ValueError(f"network {name} must be a whole number from 1 to {most}, got {value!r}")
+            value, least = getattr(self, name), _LEAST.get(name, 1)
+            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+                raise ValueError(f"network {name} must be a whole number from {least} to {most}, got {value!r}")
         for name in _SWITCHES:
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"network {name} must be True or False, got {getattr(self, name)!r}")

@@ -160,7 +160,7 @@ class StGraphNet(nn.Module):
         )
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """Logits (B, 2) for `tracks` (B, K, T, 3) m, `mask` (B, K, T), `command` (B, 6); options read `ego`, `kind`."""
+        """Logits (B, 2) for `tracks` (B, K, T, 3) m, `mask` (B, K, T), `command` (B, C); options read `ego`, `kind`."""
         embedded = self.embed(observation)
         told = [embedded, observation["command"].to(embedded.dtype)]
         if self.config.ego_speed:

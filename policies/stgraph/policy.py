@@ -25,11 +25,12 @@ class StGraphPolicy(ThresholdPolicy):
         config = network.config
         keys = ["tracks", "mask", "command"]
         keys += ["ego"] * (config.velocity or config.ego_speed) + ["kind"] * config.class_input
-        super().__init__(keys, threshold)
+        super().__init__(keys, threshold, config.commands)
         self._logits = FusedNet(network) if supports(config) else DenseNet(network, _AT_ONCE)
 
     def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
         """P(brake), (n,), for observations stacked along a new first axis."""
+        self.check_commands(observations)
         go, brake = self._logits({key: observations[key] for key in self.keys}).T
         with np.errstate(over="ignore"):
             probability: NDArray[np.float64] = 1 / (1 + np.exp(go - brake))

@@ -21,7 +21,7 @@ from cad_env.scenarios import SHIPPED, scenario_named
 from cad_env.types import FRAMES
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.registry import spec_named
-from policies.spec import Frames, NetworkSpec
+from policies.spec import Frames, NetworkSpec, fitting
 from policies.stgraph.network import StGraphConfig
 from policies.training.cloning import Recipe, drive, fit, load_state, save_state
 from policies.training.demonstrations import Demonstrations, record
@@ -64,10 +64,10 @@ class Course:
     network: Any = field(default_factory=StGraphConfig)  # of the spec's config type
 
     def __post_init__(self) -> None:
-        for name in self.scenarios:
-            scenario_named(name)
+        object.__setattr__(self, "scenarios", tuple(scenario_named(each).name for each in self.scenarios))
         if not self.scenarios or len(set(self.scenarios)) < len(self.scenarios):
             raise ValueError(f"scenarios must name at least one, each once, got {' '.join(self.scenarios)!r}")
+        object.__setattr__(self, "network", fitting(self.network, self.scenarios))
         radio_config(self.radio)
         for name, low, high in (
             ("seed", 0, 2**31), ("episodes", 1, DAGGER_SEEDS), ("dagger_rounds", 0, 49), ("steps", 3, 10**7),

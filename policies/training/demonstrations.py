@@ -19,7 +19,8 @@ import numpy as np
 
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
-from cad_env.rules.expert import expert_of
+from cad_env.rules.expert import decisions, expert_of
+from cad_env.scenarios.registry import outside_sources
 from cad_env.scoring.rollout import BatchPolicy
 from cad_env.simulation.scene_step import UNDER_WAY
 from cad_env.simulation.setup import Setup
@@ -165,13 +166,13 @@ def _drive(
 ) -> Iterator[Demonstrations]:
     """One episode after another, as they end."""
     batch = envs.batch
-    expert = expert_of(batch.simulations[0].setup.scenario)
+    expert = expert_of(batch.simulations[0].scenario)
     actions: list[list[int]] = [[] for _ in seeds]
     labels: list[list[int]] = [[] for _ in seeds]
     rng = [np.random.default_rng([seed, 1]) for seed in seeds]
 
     def decide(which: Ints, episodes: Ints) -> Ints:
-        label: Ints = expert.act_batch(batch.truths(which))
+        label = decisions(expert, batch.truths(which))
         action = label
         if policy is not None:
             seen = {name: part[which] for name, part in batch.observations.items()}
@@ -214,7 +215,7 @@ def scenes_of(setup: Setup) -> dict[str, Any]:
     ranges = {name: list(value) if isinstance(value, tuple) else value for name, value in setup.ranges.items()}
     return {
         "scenario": setup.scenario, "ranges": ranges, "traffic": setup.traffic,
-        "penetration": setup.penetration, "version of cad_env": version(),
+        "penetration": setup.penetration, "version of cad_env": version(), **outside_sources(setup.scenario),
     }  # fmt: skip
 
 

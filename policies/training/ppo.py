@@ -7,7 +7,7 @@ the last one it finished, and each part draws its chance from (seed, part), so s
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from cad_env.config import check_range, radio_config
 from cad_env.scenarios import SHIPPED, scenario_named
 from policies.layers import Linear
 from policies.model_folder import SavedModel, load_model, save_model
+from policies.spec import fitting
 from policies.stgraph.compiled.module import fused_embedding
 from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.training.cloning import load_state, save_state
@@ -64,7 +65,7 @@ class Embedding(BaseFeaturesExtractor):
         self.network.decide = nn.Sequential()  # the actor of the library takes its place
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """(B, head_width + 6)."""
+        """(B, head_width + C)."""
         embedded = fused_embedding(self.network, observation)
         return torch.cat([embedded, observation["command"].to(embedded.dtype)], dim=1)
 
@@ -86,6 +87,7 @@ def train_ppo(
     check_range("seed", seed, 0, 2**31)
     for name in scenarios:
         scenario_named(name)
+    config = replace(config, network=fitting(config.network, scenarios))
     parts = -(-int(steps) // PART)
     if (folder / "config.json").exists():
         load_model(folder)

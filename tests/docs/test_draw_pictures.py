@@ -8,14 +8,14 @@ import pytest
 from scenes import started
 
 from cad_env.rendering.danger import only_told
-from cad_env.scenarios import SCENARIOS
+from cad_env.scenarios import SHIPPED
 from cad_env.types import GO
 from docs.draw_pictures import main, tells, write_drawing
 
 IMAGES = Path(__file__).parents[2] / "docs" / "img"
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize("scenario", SHIPPED)
 def test_each_scene_has_a_drawing(scenario: str, tmp_path: Path):
     path = write_drawing(scenario, tmp_path)
     assert path.name == f"{scenario}.png"
@@ -28,7 +28,7 @@ def test_each_scene_has_a_drawing(scenario: str, tmp_path: Path):
 def test_the_gallery_writes_all_pictures_into_a_new_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["--out", str(tmp_path / "img")]) == 0
     names = {path.name for path in (tmp_path / "img").iterdir()}
-    assert names == {"alone_or_sharing.gif", *(f"{name}.png" for name in SCENARIOS)}
+    assert names == {"alone_or_sharing.gif", *(f"{name}.png" for name in SHIPPED)}
     assert (tmp_path / "img" / "alone_or_sharing.gif").stat().st_size < 1_500_000
     assert capsys.readouterr().out.count("kB") == len(names)
 

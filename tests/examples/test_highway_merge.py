@@ -1,7 +1,12 @@
 """A scenario of one's own: what holds of the shipped scenes holds of the merge, and its expert passes it."""
 
+import copy
+import json
+import os
+import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,29 +14,40 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from scenes import Steady, started
+from gymnasium.utils.env_checker import check_env
+from scenes import Steady, forget, started
 
 import cad_env
 import evaluate
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.rendering import layers
+from cad_env.rendering.canvas import Tag
+from cad_env.rendering.framing import SCALING, focus
 from cad_env.rules.expert import Expert
 from cad_env.scenarios.ranges import DENSITIES, Traffic
+from cad_env.scenarios.registry import outside_sources
 from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Scene, place
 from cad_env.scoring.rollout import rollout, rollouts
 from cad_env.types import BRAKE, GO, TRUCK, Image
 from cad_env.world.state import OFF, STANDING, Truth, World
 from cad_env.world.step import advance, note_contacts
+from policies.command import CommandConfig, CommandDriver, CommandNet
 from policies.model_folder import load_model
-from policies.stgraph.config import StGraphConfig
+from policies.registry import spec_named
+from policies.stgraph.network import StGraphConfig, StGraphNet
+from policies.stgraph.policy import StGraphPolicy
 from policies.training.cloning import Recipe
-from policies.training.dagger import Course, train
+from policies.training.dagger import Course, record_demonstrations, train
+from policies.training.demonstrations import scenes_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "highway_merge"))
 
 from cad_highway_merge import HIGHWAY_MERGE, MERGE, MergeExpert
 from cad_highway_merge.road import ENTER, GOAL
 
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "highway_merge"
 NAME = HIGHWAY_MERGE.name
 SEEDS = range(1_000_000, 1_000_200)
 KIND = pytest.mark.parametrize("hazard", [True, False])
@@ -39,8 +55,10 @@ DENSITY = pytest.mark.parametrize("density", DENSITIES)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _known() -> None:
+def _known() -> Iterator[None]:
     cad_env.register(HIGHWAY_MERGE)
+    yield
+    forget(HIGHWAY_MERGE)
 
 
 class Blind:
@@ -209,13 +227,136 @@ def test_the_command_is_to_merge_from_before_the_bend_until_the_lane_and_the_goa
     assert busy[-1] == pytest.approx(GOAL - 25.0, abs=1.0)
 
 
-def test_a_picture_of_it_can_be_drawn():
-    env = CADEnv(scenario=NAME, render_mode="rgb_array", config={"screen_height": 460, "centering_position": [0.5] * 2})
+def test_a_picture_of_it_shows_the_ego_and_the_highway_well_within():
+    env = CADEnv(scenario=HIGHWAY_MERGE, render_mode="rgb_array")
     env.reset(seed=7, options={"hazard": True})
     drawing: Image = env.render()
-    env.close()
-    assert drawing.shape == (460, 1080, 3)
+    assert drawing.shape == (300, 1080, 3)
     assert drawing.std() > 10.0
+    simulation, view = env.simulation, np.array([1080, 300]) / SCALING
+    while env.simulation.outcome() is None:
+        middle, ego = focus(simulation, view), simulation.world.position[EGO]
+        assert (np.abs(ego - middle) < 0.5 * view - 3.0).all()
+        assert abs(middle[1]) < 6.0  # m from the right lane, in a picture of 46 m
+        env.step(GO)
+    env.close()
+
+
+def test_the_picture_names_the_command(monkeypatch: pytest.MonkeyPatch):
+    notes: list[str] = []
+    monkeypatch.setattr(
+        layers, "Tag", lambda text, *given, **further: notes.append(text) or Tag(text, *given, **further)
+    )
+    env = CADEnv(scenario=HIGHWAY_MERGE, render_mode="rgb_array")
+    observation, _ = env.reset(seed=7, options={"hazard": True})
+    while not observation["command"][MERGE]:
+        observation, *_ = env.step(GO)
+    env.render()
+    env.close()
+    assert "merge" in notes
+
+
+def test_every_way_in_shows_the_command_of_the_scenario():
+    for env in (
+        gym.make("cad_env:CADScenario-v0", scenario=HIGHWAY_MERGE),
+        gym.make(HIGHWAY_MERGE.gym_id, radio="ideal"),
+        gym.make(HIGHWAY_MERGE.gym_id, cloud={}),
+    ):
+        observation, _ = env.reset(seed=1)
+        assert env.observation_space.contains(observation)
+        told = [observation["command"]]
+        while told[-1][MERGE] == 0:
+            told.append(env.step(GO)[0]["command"])
+        assert all(command.shape == (7,) and command.sum() == 1 for command in told)
+        check_env(env.unwrapped, skip_render_check=True)
+    envs = gym.make_vec(HIGHWAY_MERGE.gym_id, 3, vectorization_mode="vector_entry_point")
+    assert envs.observation_space["command"].shape == (3, 7)
+    assert envs.observation_space.contains(envs.reset(seed=1)[0])
+    parallel = cad_env.parallel_env(HIGHWAY_MERGE.gym_id)
+    observations, _ = parallel.reset(seed=1)
+    assert all(parallel.observation_space(agent).contains(seen) for agent, seen in observations.items())
+    copied = copy.deepcopy(CADEnv(scenario=HIGHWAY_MERGE))
+    assert copied.observation_space.contains(copied.reset(seed=1)[0])
+
+
+def test_all_agents_can_be_driven():
+    env = cad_env.parallel_env(HIGHWAY_MERGE)
+    env.reset(seed=SEEDS[0], options={"hazard": True})
+    expert = MergeExpert()
+    while env.agents:
+        env.step({agent: expert.act(env.truth(agent)) for agent in env.agents})
+    assert env.outcomes["cav_0"] == "success"
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: CADVectorEnv(2, scenario=["left_turn", HIGHWAY_MERGE]),
+        lambda: Course(scenarios=("left_turn", NAME)),
+        lambda: CADEnv(scenario="left_turn").configure({"scenario": NAME}),
+        lambda: Course(scenarios=(NAME,), network=StGraphConfig(commands=8)),
+        lambda: rollout(CADEnv(scenario=NAME), StGraphPolicy(StGraphNet()), 1),
+        lambda: next(rollouts(CADVectorEnv(2, scenario=NAME), CommandDriver(CommandNet(CommandConfig(), 0), 0.5), [1])),
+    ],
+)
+def test_what_knows_other_numbers_of_commands_is_refused_in_one_line(make: Callable[[], object]):
+    with pytest.raises(ValueError, match=r"commands") as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_network_of_the_six_commands_is_not_scored_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["--scenario", NAME, "--method", "stgraph", "--episodes", "1", "--no-report", "--out", str(tmp_path)]
+    assert evaluate.main(words) != 0
+    assert "error: the network was made for 6 commands, and this scenario has 7" in capsys.readouterr().err
+
+
+def test_two_processes_score_it_as_one_does_with_its_own_expert(tmp_path: Path):
+    found = []
+    for jobs in ("1", "2"):
+        words = ["--scenario", NAME, "--method", "always-go", "expert", "--episodes", "6", "--no-report"]
+        assert evaluate.main([*words, "--jobs", jobs, "--out", str(tmp_path / jobs)]) == 0
+        found.append([(tmp_path / jobs / name).read_text() for name in ("episodes.jsonl", "scores.json")])
+    assert found[0] == found[1]
+    records = [json.loads(line) for line in found[0][0].splitlines()]
+    assert {each["outcome"] for each in records if each["method"] == "expert"} == {"success"}
+    assert "collision" in {each["outcome"] for each in records if each["method"] == "always-go"}
+    known = json.loads((tmp_path / "1" / "settings.json").read_text())
+    assert known[f"source of {NAME}"] == outside_sources(NAME)[f"source of {NAME}"]
+
+
+def test_a_command_line_finds_it_by_reference_in_every_process(tmp_path: Path):
+    words = ["--scenario", "cad_highway_merge:HIGHWAY_MERGE", "--method", "always-go", "expert", "--episodes", "2"]
+    program = [sys.executable, str(ROOT / "evaluate.py"), *words, "--jobs", "2", "--no-report", "--out", str(tmp_path)]
+    paths = os.pathsep.join([str(EXAMPLE), str(ROOT)])
+    subprocess.run(program, check=True, env={**os.environ, "PYTHONPATH": paths}, capture_output=True)
+    records = [json.loads(line) for line in (tmp_path / "episodes.jsonl").read_text().splitlines()]
+    assert [(each["scenario"], each["method"]) for each in records] == [
+        (NAME, method) for method in ("always-go", "expert") for _ in range(2)
+    ]
+
+
+def test_demonstrations_are_its_expert_s_and_marked_with_its_source(tmp_path: Path):
+    (recorded,) = record_demonstrations(tmp_path, NAME, 3, lambda done: None)
+    env = CADEnv(scenario=NAME)
+    actions = [rollout(env, MergeExpert(), seed).action for seed in recorded.seed.tolist()]
+    assert recorded.action.tolist() == recorded.label.tolist() == np.concatenate(actions).tolist()
+    assert scenes_of(env.simulation.setup)[f"source of {NAME}"] == outside_sources(NAME)[f"source of {NAME}"]
+
+
+@pytest.mark.parametrize("spec", ["stgraph", "command", "point_transformer", "compressed"])
+def test_every_network_learns_it_for_a_moment_and_drives(spec: str, tmp_path: Path):
+    config = spec_named(spec).config_type()
+    course = Course(
+        scenarios=(NAME,), radio="ideal", episodes=8, dagger_rounds=1, dagger_episodes=1, steps=6, segments=2,
+        validation=1, final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=8), spec=spec, network=config,
+    )  # fmt: skip
+    assert (config.commands, course.network.commands) == (6, 7)
+    train(course, tmp_path, lambda done: None)
+    model = load_model(tmp_path)
+    assert model.network.config.commands == 7
+    env = CADEnv(scenario=NAME, radio="ideal", **model.environment())
+    assert rollout(env, model.policy(), SEEDS[0]).outcome in ("success", "collision", "timeout")
 
 
 def test_a_hazard_that_would_have_to_start_beyond_the_road_is_refused():

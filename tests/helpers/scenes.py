@@ -5,12 +5,15 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from highway_env.road.lane import StraightLane
 from highway_env.road.road import RoadNetwork
 
 from cad_env.envs.single import CADEnv
+from cad_env.scenarios import registry
 from cad_env.scenarios.routes import RoutePlan, sample_routes
+from cad_env.scenarios.scenario import Scenario
 from cad_env.scenarios.scene import Placement, Scene, place
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation
@@ -135,3 +138,10 @@ def digest(seed: int, **options: Any) -> str:
     for name, part in sorted(seen.items()):
         sha.update(name.encode() + part.tobytes())
     return sha.hexdigest()
+
+
+def forget(scenario: Scenario) -> None:
+    """Undo `cad_env.register`: other tests are of the scenarios that ship."""
+    registry._known.pop(scenario.name, None)
+    registry._found_at.pop(scenario.name, None)
+    gym.registry.pop(scenario.gym_id, None)

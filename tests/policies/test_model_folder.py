@@ -57,6 +57,13 @@ def test_a_model_comes_back_as_it_was(folder: Path) -> None:
     assert model.policy().threshold == 0.3
 
 
+def test_a_model_of_before_further_commands_has_the_six(folder: Path) -> None:
+    knobs = json.loads((folder / CONFIG).read_text())["network"]
+    assert knobs.pop("commands") == 6
+    change(folder, network=knobs)
+    assert load_model(folder).network.config == StGraphConfig(velocity=True)
+
+
 def test_saving_again_replaces_the_model_and_leaves_nothing_else(folder: Path) -> None:
     save_model(folder, SavedModel(StGraphNet(), 0.5))
     assert load_model(folder).network.config == StGraphConfig()
@@ -127,6 +134,7 @@ def test_a_config_that_says_something_else_is_refused(folder: Path, keys: dict[s
     [
         ({"wings": 2}, "unknown network key 'wings'"),
         ({"heads": 0}, "network heads must be"),
+        ({"commands": 5}, "network commands must be a whole number from 6 to 127, got 5"),
         ({"fusion": ["last"]}, "network fusion must be"),
         ({"hidden": None}, "network hidden must be"),
     ],

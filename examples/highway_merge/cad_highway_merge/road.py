@@ -9,7 +9,8 @@ from highway_env.road.road import RoadNetwork
 from cad_env.scenarios.routes import RoutePlan
 from cad_env.types import Command
 
-MERGE = len(Command)  # the first command beyond the six of cad_env: `Scenario.commands` names it
+COMMANDS = ("merge",)  # beyond the six of every scenario
+MERGE = len(Command)  # the first number after theirs
 
 LANE = 3.5  # m wide; the right lane is y = 0, the left one y = LANE
 WEST, EAST = -560.0, 300.0  # m, the ends of the highway
@@ -55,7 +56,7 @@ def highway_network() -> RoadNetwork:
     return network
 
 
-def _plan(name: str, nodes: tuple[str, ...], commands: tuple[Command | int, ...]) -> RoutePlan:
+def _plan(name: str, nodes: tuple[str, ...], commands: tuple[int, ...]) -> RoutePlan:
     return RoutePlan(name, tuple((start, end, 0) for start, end in pairwise(nodes)), commands)
 
 

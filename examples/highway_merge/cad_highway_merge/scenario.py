@@ -11,7 +11,7 @@ from cad_env.scenarios.vehicles import car_body, queue, stream, time_to
 from cad_env.types import CAR, TRUCK
 from cad_env.world.state import OFF, SCRIPTED, STANDING
 from cad_highway_merge.expert import MergeExpert
-from cad_highway_merge.road import ENTER, GOAL, LANE, PLANS, RAMP, WEST, highway_network
+from cad_highway_merge.road import COMMANDS, ENTER, GOAL, LANE, PLANS, RAMP, WEST, highway_network
 
 MEET = RAMP  # m along the ramp, and x = 0 on the highway: the ego's side is in the right lane
 SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
@@ -112,5 +112,5 @@ HIGHWAY_MERGE = Scenario(
     actors=cast,
     background=background,
     expert=MergeExpert,
-    commands=("merge",),
+    commands=COMMANDS,
 )

@@ -15,7 +15,7 @@ import evaluate
 from baselines.evaluation import run as scoring
 from baselines.evaluation.run import score
 from baselines.evaluation.settings import Settings
-from cad_env.scenarios import SCENARIOS
+from cad_env.scenarios import SHIPPED
 from cad_env.scoring.rollout import Episode
 from cad_env.scoring.scorecard import Record, parse_record, record_of
 
@@ -146,10 +146,10 @@ def test_every_scenario_meets_every_method_on_the_same_seeds_in_a_table_of_its_o
 ) -> None:
     assert run(tmp_path, "--method", "always-go", "planner-own", "--episodes", "2") == 0
     assert [(record.scenario, record.method, record.seed) for record in records(tmp_path)] == [
-        (scene, name, 1_000_000 + k) for scene in SCENARIOS for name in ("always-go", "planner-own") for k in range(2)
+        (scene, name, 1_000_000 + k) for scene in SHIPPED for name in ("always-go", "planner-own") for k in range(2)
     ]
     tables = capsys.readouterr().out.split("\n\n")
-    assert [part.splitlines()[2].split()[0] for part in tables] == list(SCENARIOS)
+    assert [part.splitlines()[2].split()[0] for part in tables] == list(SHIPPED)
 
 
 @pytest.mark.parametrize("cut", [1, 30, 400, 800])

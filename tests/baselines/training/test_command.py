@@ -15,7 +15,7 @@ from baselines.evaluation.run import opened
 from baselines.evaluation.training_seeds import runs_of
 from baselines.methods import shipped_models
 from baselines.training import command as train
-from cad_env.scenarios import SCENARIOS
+from cad_env.scenarios import SHIPPED
 
 ROOT = Path(__file__).parents[3]
 TINY = ["--episodes", "6", "--dagger_rounds", "0", "--steps", "9", "--validation", "2", "--score", "2"]
@@ -90,7 +90,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.Captu
 
 def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     claimed(train.TrainSettings(out=tmp_path / "run", scenario=("left_turn",)))
-    others = tuple(name for name in SCENARIOS if name != "left_turn")
+    others = tuple(name for name in SHIPPED if name != "left_turn")
     assert train.main(["--out", str(tmp_path / "run"), "--scenario", *others]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
@@ -122,9 +122,9 @@ def test_a_row_that_is_added_can_be_scored_beside_an_earlier_run(tmp_path: Path,
 def test_one_scenario_several_or_all_have_folders_of_their_own() -> None:
     assert train.TrainSettings().folder() == Path("runs/all")
     assert train.TrainSettings(scenario=("left_turn",)).folder() == Path("runs/left_turn")
-    assert train.TrainSettings().scenarios() == tuple(SCENARIOS)
-    backwards = tuple(reversed(SCENARIOS))
-    assert train.TrainSettings(scenario=backwards).scenarios() == tuple(SCENARIOS)
+    assert train.TrainSettings().scenarios() == SHIPPED
+    backwards = tuple(reversed(SHIPPED))
+    assert train.TrainSettings(scenario=backwards).scenarios() == SHIPPED
 
 
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

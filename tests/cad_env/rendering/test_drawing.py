@@ -233,6 +233,13 @@ def test_the_ego_stays_in_the_picture_wherever_it_is():
     assert focus(simulation, view).tolist() == [0.0, 0.0]  # a junction stays in the middle
 
 
+def test_along_a_road_that_fits_the_picture_follows_the_ego_and_across_it_shows_the_middle():
+    simulation, view = started(1, scenario="overtaking"), np.array([166.0, 46.0])
+    for place in ((-80.0, -1.75), (10.0, 1.75)):
+        simulation.world.position[0] = place
+        assert focus(simulation, view).tolist() == [place[0], 0.0]
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_every_scene_has_a_picture_that_holds_its_ego(name: str):
     env = CADEnv(scenario=name, render_mode="rgb_array")

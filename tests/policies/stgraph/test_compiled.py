@@ -214,10 +214,18 @@ def test_any_other_network_goes_the_dense_way(name: str) -> None:
 
 
 def test_every_knob_of_the_network_is_either_computed_or_left_to_the_dense_one() -> None:
-    told = {"attn_slope", "position_scale", "hidden", "mlp_width", "head_width", "edge_attributes", "velocity"}
+    told = {"attn_slope", "position_scale", "hidden", "mlp_width", "head_width", "edge_attributes", "velocity",
+            "commands"}  # fmt: skip
     left = {"heads", "layers", "fusion", "temporal_edges", "temporal", "node_time", "relu_logits", "ego_speed"}
     assert {knob.name for knob in dataclasses.fields(StGraphConfig)} == told | left | {"class_input"}
     assert all(map(supports, FUSED.values()))
+
+
+def test_further_commands_are_computed_too() -> None:
+    batch, net = observations(), network(StGraphConfig(commands=9))
+    batch["command"] = np.eye(9, dtype=np.int8)[np.arange(len(batch["mask"])) % 9]
+    assert max(differences(net, batch)) < 1e-12
+    np.testing.assert_allclose(FusedNet(net)(batch), dense_logits(net, batch), rtol=0, atol=1e-12)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:

@@ -28,10 +28,8 @@ class LearnedMethod:
     spec: str = "stgraph"  # by its name in policies.registry
     config: Mapping[str, Any] = field(default_factory=dict)  # knobs of its network, where they differ from the default
     shares: str = "graph"  # one of SHARED
-    depth: int = FRAMES  # newest frames in a message
-    dagger_rounds: int | None = None  # DAgger rounds; None: as many as a run is asked for
-    radio: str | None = None  # what it is trained on; None: what a run is asked for
-    recipe: Mapping[str, Any] = field(default_factory=dict)  # of policies.training.cloning.Recipe, where it differs
+    # Of policies.training.config.TrainingConfig, where it differs from what a run is asked for.
+    training: Mapping[str, Any] = field(default_factory=dict)
     pace: float = 1.0  # optimiser steps, as a share of those that a run is asked for
     most_validated: int | None = None  # episodes after each third of a round, however many a run is asked for
     cost: float = 1.0  # of a frame, driven or learned from, where that of a graph is 1: for an honest progress bar
@@ -42,33 +40,41 @@ class LearnedMethod:
         return folder_of(self.name)
 
     @property
+    def depth(self) -> int:
+        """Newest frames in a message."""
+        depth: int = self.training.get("depth", FRAMES)
+        return depth
+
+    @property
+    def radio(self) -> str | None:
+        """What it is trained on; None: what a run is asked for."""
+        return self.training.get("radio")
+
+    @property
     def blind(self) -> bool:
         """Whether it sees nothing at all."""
         return self.spec == "command"
 
 
-# A frame of points costs ten times that of a graph, so their batches are smaller.
-POINTS, FEATURES = {"batch": 48, "learning_rate": 1.5e-3}, {"batch": 64, "learning_rate": 5e-3}
-
 _LEARNED = (
-    LearnedMethod("stgraph"),  # the paper's "Ours"; clones, and then corrects
+    LearnedMethod("stgraph"),  # the paper's "Ours": cloning, then DAgger rounds
     LearnedMethod("stgraph-own", shares="nothing"),  # [T-NS]
     LearnedMethod("command-only", "command", shares="nothing"),
     LearnedMethod("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]
-    LearnedMethod("collab-gat", config={"temporal": False}, depth=1),  # [Collab-GAT, NT-S]
-    # What these two send is more than dsrc lets a vehicle send, so they learn over a radio that carries it.
-    # Their episodes are the dearest, so fewer validate them.
+    LearnedMethod("collab-gat", config={"temporal": False}, training={"depth": 1}),  # [Collab-GAT, NT-S]
+    # These two send more than dsrc lets a vehicle send, so they are trained over a radio that carries it. A frame of
+    # points costs ten times as much as one of a graph, so batches are smaller and fewer episodes validate them.
     LearnedMethod(
-        "raw-points", "point_transformer", shares="points", radio="ideal", recipe=POINTS, pace=0.5, most_validated=24,
-        cost=12.0,
+        "raw-points", "point_transformer", shares="points", pace=0.5, most_validated=24, cost=12.0,
+        training={"radio": "ideal", "batch": 48, "learning_rate": 1.5e-3},
     ),
     LearnedMethod(
-        "compressed", "compressed", shares="features", radio="cv2x", recipe=FEATURES, pace=0.5, most_validated=24,
-        cost=12.0,
+        "compressed", "compressed", shares="features", pace=0.5, most_validated=24, cost=12.0,
+        training={"radio": "cv2x", "batch": 64},
     ),
     LearnedMethod("stgraph-no-edges", config={"edge_attributes": False}),  # [Ours without edge attributes]
-    # Clones only, as the paper does; as many steps as stgraph in three rounds.
-    LearnedMethod("stgraph-bc", dagger_rounds=0, pace=2.0),
+    # Cloning only, as in the paper; as many steps as stgraph in three rounds.
+    LearnedMethod("stgraph-bc", training={"dagger_rounds": 0}, pace=2.0),
     LearnedMethod("stgraph-velocity", config={"velocity": True}),  # a departure: nodes carry their velocity
 )  # fmt: skip
 
@@ -201,7 +207,10 @@ def _outside(name: str) -> Method:
 
         register(found, name)
         register(found)  # the name that its model folders hold
-        return _of(LearnedMethod(name, spec=name, **getattr(found, "learned", {})))
+        shares, training = getattr(found, "shares", "graph"), getattr(found, "training", {})
+        if shares not in SHARED:
+            raise ValueError(f"{name} must share one of {', '.join(SHARED)}, got {shares!r}")
+        return _of(LearnedMethod(name, spec=name, shares=shares, training=training))
     policy = _checked(found, name)
     knows = getattr(policy, "knows", TRUTH if policy.privileged else SENT)
     if knows not in KNOWLEDGE:

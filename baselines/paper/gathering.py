@@ -20,7 +20,7 @@ from baselines.evaluation.store import (
 )
 from baselines.folder_note import difference
 from baselines.methods import SHIPPED
-from baselines.paper.tasks import Plan, Task, answered, every_unit, measuring, scoring, table_of
+from baselines.paper.tasks import PaperTask, Plan, answered, every_unit, measuring, scoring, table_of
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import scorecards
 
@@ -30,7 +30,7 @@ def gather(plan: Plan) -> int:
 
     ValueError for open-loop answers of another model than the one that is there now.
     """
-    tables: dict[str, list[Task]] = {}
+    tables: dict[str, list[PaperTask]] = {}
     lacking = 0
     for unit in every_unit(plan):
         for task in measuring(plan, unit):

@@ -10,33 +10,34 @@ from typing import Any
 from baselines.cli import Progress, parsed, refused, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import Settings
-from baselines.methods import learned_named, radio_of
-from baselines.training.config import Budget, Lesson, claim, course_of, learn
+from baselines.methods import folder_of, learned_named, radio_of
+from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
 from cad_env.config import check_range, radio_config
-
-ALL = ("all",)
-
+from policies.training.config import TrainingConfig
 
 MAIN_METHODS = ("stgraph", "stgraph-own")
-
-
-RULES = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # whom the rows are scored beside
+REFERENCE_METHODS = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # scored beside them
+_ASKED = ("radio", "episodes", "dagger_rounds", "dagger_episodes", "mixing", "steps", "validation")
 
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
+    """Train the paper's policy and print how often it collides, beside policies that share nothing or know everything.
 
-    scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
-    method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/methods.py)
-    out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
-    radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
-    episodes: int = 1500  # of each scenario, driven by the expert
-    dagger_rounds: int = 2  # rounds in which the network drives and the expert labels (DAgger)
-    mixing: float = 0.0  # share of the decisions that the expert takes in the first of these; of the n-th: to the n
-    steps: int = 2400  # optimiser steps of the first round; later rounds take half as many
-    validation: int = 60  # closed-loop episodes of each scenario after each third of a round, to choose a checkpoint
-    seed: tuple[int, ...] = (0,)  # of the networks and of all that is drawn while training; several: one run for each
+    A network of your own is named as module:SPEC (docs/write-your-own.md).
+    """
+
+    scenario: tuple[str, ...] = ("all",)  # which scenarios one network learns: names, or all
+    method: tuple[str, ...] = MAIN_METHODS  # which methods (baselines/methods.py), or module:SPEC of your own network
+    out: Path | None = None  # folder of models, demonstrations and scores; default: runs/all, or runs/<scenario>
+    radio: str = TrainingConfig.radio  # dsrc, cv2x or ideal; methods with larger messages have their own
+    episodes: int = TrainingConfig.episodes  # of the expert, in each scenario
+    dagger_rounds: int = TrainingConfig.dagger_rounds  # in which the network drives and the expert labels
+    dagger_episodes: int = TrainingConfig.dagger_episodes  # in each DAgger round and scenario
+    mixing: float = TrainingConfig.mixing  # share of decisions the expert takes in the first; of the n-th: to the n
+    steps: int = TrainingConfig.steps  # optimiser steps of the first round; later rounds take half as many
+    validation: int = TrainingConfig.validation  # closed-loop episodes per scenario after each third of a round
+    seed: tuple[int, ...] = (0,)  # of training; with several, each method is trained once from each
     score: int = 300  # episodes per method and scenario at the end; 0 trains only
     jobs: int = 2  # processes
     velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
@@ -50,7 +51,7 @@ class TrainSettings:
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(map(str, given))!r}")
         for name in self.method:
             if self.velocity and learned_named(name).spec != "stgraph":
-                raise ValueError(f"velocity is for rows of the paper's network, and {name} is not one")
+                raise ValueError(f"velocity is an option of the paper's network, which {name} is not")
         check_range("score", self.score, 0, 1_000_000)
         check_range("jobs", self.jobs, 1, 64)
 
@@ -66,49 +67,46 @@ class TrainSettings:
         """What the networks learn, in the same order however it was asked for; ValueError for what does not exist."""
         from cad_env.scenarios import SCENARIOS, SHIPPED, scenario_named
 
-        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ALL else self.scenario)]
+        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ("all",) else self.scenario)]
         return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
-    def budget(self) -> Budget:
-        """What every row may cost."""
-        return Budget(
-            self.scenarios(), self.radio, self.episodes, self.dagger_rounds, self.steps, self.validation,
-            mixing=self.mixing,
-        )  # fmt: skip
+    def tasks(self) -> list[TrainingTask]:
+        """What is to be trained; ValueError for what is impossible."""
+        asked = {"scenarios": self.scenarios(), **{name: getattr(self, name) for name in _ASKED}}
+        network = {"velocity": True} if self.velocity else {}
+        found = []
+        for seed in self.seed:
+            for name in self.method:
+                method = learned_named(name)
+                config = training_config(method, {**asked, "seed": seed}, network)
+                found.append(TrainingTask(name, config, self.models(seed) / method.model, self.demonstrations()))
+        return found
 
-    def lessons(self) -> list[tuple[Lesson, Any]]:
-        """Every row and seed, with its course; ValueError for one that is impossible."""
-        knobs = {"velocity": True} if self.velocity else {}
-        demonstrations, budget = self.folder() / "demonstrations", self.budget()
-        return [
-            (
-                Lesson(method, seed, self.models(seed), demonstrations),
-                course_of(learned_named(method), seed, budget, knobs),
-            )
-            for seed in self.seed
-            for method in self.method
-        ]
+    def demonstrations(self) -> Path:
+        """Where the expert's episodes go."""
+        return self.folder() / "demonstrations"
 
     def scoring(self) -> list[Settings]:
-        """The closed-loop comparison at the end, one for each radio that rows were trained over.
+        """The closed-loop comparison at the end, one for each radio that methods were trained over.
 
-        Other episodes, rows or another version of the scenes score anew.
+        Other episodes or methods, and another version of the scenes, are scored anew.
         """
         from cad_env.version import version
 
         found = []
-        for radio, rows in self._rows_by_radio().items():
-            asked = "" if rows == MAIN_METHODS else f"_{'+'.join(rows)}"
+        for radio, methods in self._by_radio().items():
+            asked = "" if methods == MAIN_METHODS else f"_{'+'.join(map(folder_of, methods))}"
             scores = self.folder() / f"scores_{self.score}{asked}_{version()}"
             found.append(
                 Settings(
-                    scenario=self.scenarios(), method=(*RULES, *rows), models=tuple(map(self.models, self.seed)),
+                    scenario=self.scenarios(), method=(*REFERENCE_METHODS, *methods),
+                    models=tuple(map(self.models, self.seed)),
                     episodes=max(self.score, 1), jobs=self.jobs, out=scores, radio=radio,
                 )
             )  # fmt: skip
         return found
 
-    def _rows_by_radio(self) -> dict[str, tuple[str, ...]]:
+    def _by_radio(self) -> dict[str, tuple[str, ...]]:
         found: dict[str, tuple[str, ...]] = {}
         for name in self.method:
             radio = radio_of(name, self.radio)
@@ -120,11 +118,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
         settings = parsed(TrainSettings, argv)
-        lessons = settings.lessons()
-        for lesson, course in lessons:
-            claim(lesson.folder, course)
+        tasks = settings.tasks()
+        for task in tasks:
+            claim_folder(task)
         scoring = settings.scoring() if settings.score else []
-        train_all(settings, lessons)
+        train_all(settings, tasks)
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
@@ -138,18 +136,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def train_all(settings: TrainSettings, lessons: Sequence[tuple[Lesson, Any]]) -> None:
+def train_all(settings: TrainSettings, tasks: Sequence[TrainingTask]) -> None:
     """Record the expert once, then train side by side, with one progress bar over all the work."""
     from baselines.workers import workers
 
-    scenes, folder = settings.scenarios(), settings.folder() / "demonstrations"
-    total = settings.episodes * len(scenes) + sum(course.work() for _, course in lessons)
+    scenarios, folder = settings.scenarios(), settings.demonstrations()
+    total = settings.episodes * len(scenarios) + sum(task.config.work() for task in tasks)
     with (
-        workers(min(settings.jobs, max(len(lessons), len(scenes)))) as (pool, progress),
+        workers(min(settings.jobs, max(len(tasks), len(scenarios)))) as (pool, progress),
         Progress(total, "training") as bar,
     ):
-        _wait_for([pool.submit(_record, folder, scene, settings.episodes) for scene in scenes], progress, bar)
-        _wait_for([pool.submit(_learn, lesson, course) for lesson, course in lessons], progress, bar)
+        _wait_for([pool.submit(_record, folder, name, settings.episodes) for name in scenarios], progress, bar)
+        _wait_for([pool.submit(_train, task) for task in tasks], progress, bar)
 
 
 def _wait_for(running: "Sequence[Future[None]]", progress: Any, bar: Any) -> None:
@@ -175,7 +173,7 @@ def _record(folder: Path, scenario: str, episodes: int) -> None:
     record_demonstrations(folder, scenario, episodes, tell)
 
 
-def _learn(lesson: Lesson, course: Any) -> None:
+def _train(task: TrainingTask) -> None:
     from baselines.workers import tell
 
-    learn(lesson, course, tell)
+    perform_training(task, tell)

@@ -1,100 +1,71 @@
-"""From a row of the table and what a run may cost to a course, and what its folder is for."""
+"""How a method is trained in a run: its training config, and what is noted in its folder."""
 
-import json
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from baselines.folder_note import claim
 from baselines.methods import LearnedMethod, learned_named
-from cad_env.files import replace_file
+from baselines.references import is_reference, source_of
 from policies.registry import spec_named
+from policies.training.config import Advance, TrainingConfig
 
-if TYPE_CHECKING:
-    from policies.training.dagger import Course
-
-COURSE = "course.json"  # in the folder of a row: what it was trained with
-Advance = Callable[[float], object]
+NOTE_OF_TRAINING = "training.json"  # in the folder of a model: what it is trained with
 
 
 @dataclass(frozen=True)
-class Budget:
-    """What the training of every row may cost; episodes are counted per scenario."""
+class TrainingTask:
+    """One method, trained from one seed."""
 
-    scenarios: tuple[str, ...]
-    radio: str  # that of the rows that share and name no other
-    episodes: int  # driven by the expert
-    dagger_rounds: int  # DAgger rounds, of the rows that name no other number
-    steps: int  # optimiser steps of the first round; later rounds take half as many
-    validation: int  # closed-loop episodes after each third of a round
-    dagger_episodes: int = 400  # in each DAgger round
-    mixing: float = 0.0  # share of the decisions that the expert takes in the first DAgger round
+    method: str
+    config: TrainingConfig
+    folder: Path  # of its model
+    demonstrations: Path  # of the expert, shared by all tasks
 
 
-@dataclass(frozen=True)
-class Lesson:
-    """One row, trained from one seed, in a folder of models."""
+def training_config(
+    method: LearnedMethod, overrides: Mapping[str, Any], network: Mapping[str, Any] | None = None
+) -> TrainingConfig:
+    """The training config of a method in a run: its own overrides go before those of the run.
 
-    row: str
-    seed: int
-    models: Path  # its own folder is in there
-    demonstrations: Path  # of the expert, shared by all lessons
-
-    @property
-    def folder(self) -> Path:
-        """Where the model goes."""
-        return self.models / learned_named(self.row).model
-
-
-def course_of(row: LearnedMethod, seed: int, budget: Budget, knobs: Mapping[str, Any] | None = None) -> "Course":
-    """How a row is trained; ValueError for what is impossible. `knobs` of the network go before those of the row."""
-    from policies.training.cloning import Recipe  # here, because torch takes a second that --help need not wait
-    from policies.training.dagger import Course
-
-    radio = "none" if row.shares == "nothing" else row.radio or budget.radio
-    network = spec_named(row.spec).config_type(**{**row.config, **(knobs or {})})
-    validation = budget.validation if row.most_validated is None else min(budget.validation, row.most_validated)
-    return Course(
-        scenarios=budget.scenarios, radio=radio, depth=row.depth, seed=seed, episodes=budget.episodes,
-        dagger_rounds=budget.dagger_rounds if row.dagger_rounds is None else row.dagger_rounds,
-        dagger_episodes=budget.dagger_episodes, mixing=budget.mixing,
-        steps=max(round(row.pace * budget.steps), 3), validation=validation, final_validation=validation * 5 // 3,
-        spec=row.spec, network=network, recipe=Recipe(**row.recipe),
-    )  # fmt: skip
+    `network` are settings of its network, which go before those of the method. ValueError for what is impossible.
+    """
+    steps, validation = (overrides.get(name, getattr(TrainingConfig, name)) for name in ("steps", "validation"))
+    if method.most_validated is not None:
+        validation = min(validation, method.most_validated)
+    given = {
+        **overrides, "spec": method.spec, "steps": max(round(method.pace * steps), 3), "validation": validation,
+        "final_validation": validation * 5 // 3, **method.training,
+    }  # fmt: skip
+    if method.shares == "nothing":
+        given["radio"] = "none"
+    known = [each.name for each in fields(TrainingConfig)]
+    if unknown := [name for name in given if name not in known]:
+        raise ValueError(f"unknown training setting {unknown[0]!r} of {method.name}: choose among {', '.join(known)}")
+    settings = {**method.config, **(network or {})}
+    if settings:
+        given["network"] = spec_named(method.spec).config_type(**settings)
+    return TrainingConfig(**given)
 
 
-def claim(folder: Path, course: "Course") -> None:
-    """Note in the folder of a row what it is trained with; ValueError if that is not what it was begun with."""
+def claim_folder(task: TrainingTask) -> None:
+    """Note in the folder what its model is trained with; ValueError if it was begun with something else."""
     from cad_env.scenarios.registry import outside_sources
     from cad_env.version import version
 
-    path = folder / COURSE
-    sources = {what: digest for name in course.scenarios for what, digest in outside_sources(name).items()}
-    wanted = json.loads(json.dumps({**asdict(course), "version of cad_env": version(), **sources}))
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
-        return
-    found = _read(path)
-    for name in [*wanted, *found]:
-        if found.get(name) != wanted.get(name):
-            change = f"{name}={found.get(name)!r}, now {wanted.get(name)!r}"
-            raise ValueError(f"{folder} holds a run with {change}: use another --out or delete it")
+    sources = {what: digest for name in task.config.scenarios for what, digest in outside_sources(name).items()}
+    if is_reference(task.method):
+        sources[f"source of {task.method}"] = hashlib.sha256(source_of(task.method)).hexdigest()[:16]
+    wanted = {**asdict(task.config), "version of cad_env": version(), **sources}
+    claim(task.folder / NOTE_OF_TRAINING, wanted, "use another --out or delete it")
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text())
-    except ValueError:
-        found = None
-    if not isinstance(found, dict):
-        raise ValueError(f"{path} is damaged: use another folder or delete that one")
-    return found
+def perform_training(task: TrainingTask, advance: Advance) -> None:
+    """Train the method into its folder, or resume where that stopped."""
+    from policies.training.dagger import train_network  # here, because torch takes a second that --help need not wait
 
-
-def learn(lesson: Lesson, course: "Course", advance: Advance) -> None:
-    """Train the row into its folder, going on where it stopped."""
-    from policies.training.dagger import train
-
-    claim(lesson.folder, course)
-    train(course, lesson.folder, advance, lesson.demonstrations)
+    learned_named(task.method)  # makes a network spec from outside known in this process
+    claim_folder(task)
+    train_network(task.config, task.folder, advance, task.demonstrations)

@@ -112,28 +112,56 @@ def rollouts(
         batch = envs.batch
     else:
         batch = SceneBatch([env.simulation.setup for env in envs])
-    waiting, log = iter(seeds), _Log(len(batch))
-    decide = _decide_together if isinstance(policy, BatchPolicy) else _decide_alone
-    free = range(len(batch) if decide is _decide_together else 1)
-    going: list[int] = []
-    while True:
-        for place, seed in zip(free, waiting, strict=False):
+    together, log = isinstance(policy, BatchPolicy), _Log(len(batch))
+    decide = _decide_together if together else _decide_alone
+
+    def begun() -> Iterator[int]:
+        for seed in seeds:
             policy.reset(seed)
-            batch.start(place, seed, hazard)
-            going.append(place)
-        if not going:
-            return
-        which = np.array(going)
+            yield seed
+
+    def act(which: Ints, _: Ints) -> Ints:
         actions = decide(policy, batch, which)
         if watch is not None:
-            for place, action in zip(going, actions.tolist(), strict=True):
+            for place, action in zip(which.tolist(), actions.tolist(), strict=True):
                 watch(batch.simulations[place], batch.observation(place), action)
-        batch.step(which, actions)
+        return actions
+
+    def noted(which: Ints, actions: Ints) -> None:
         log.note(which, actions, {name: batch.step_info(name)[which] for name in _LOGGED})
+
+    for _, place in play(batch, begun(), act, noted, hazard, len(batch) if together else 1):
+        yield log.episode(place, batch.simulations[place], method)
+
+
+def play(
+    batch: SceneBatch,
+    seeds: Iterable[int],
+    decide: Callable[[Ints, Ints], Ints],
+    noted: Callable[[Ints, Ints], object] = lambda which, actions: None,
+    hazard: bool | None = None,
+    side_by_side: int | None = None,
+) -> Iterator[tuple[int, int]]:
+    """Play an episode per seed, `side_by_side` (default: all scenes) at once; yield (its number, its scene) as it ends.
+
+    `decide` gets the scenes under way, (n,), and the numbers of the episodes in them, (n,), and returns actions (n,).
+    `noted` gets these scenes and actions after the step.
+    """
+    waiting, under_way = iter(enumerate(seeds)), dict[int, int]()
+    free = list(range(len(batch) if side_by_side is None else side_by_side))
+    while True:
+        for place, (episode, seed) in zip(free, waiting, strict=False):
+            batch.start(place, seed, hazard)
+            under_way[place] = episode
+        if not under_way:
+            return
+        which = np.array(list(under_way))
+        actions = decide(which, np.array(list(under_way.values())))
+        batch.step(which, actions)
+        noted(which, actions)
         free = which[batch.outcomes[which] != UNDER_WAY].tolist()
         for place in free:
-            going.remove(place)
-            yield log.episode(place, batch.simulations[place], method)
+            yield under_way.pop(place), place
 
 
 def _decide_together(policy: Any, batch: SceneBatch, which: Ints) -> Ints:

@@ -11,51 +11,25 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
-from cad_env.config import check_range
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import replace_file
 from cad_env.scoring.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints, Policy
 from policies.model_folder import ModelError
 from policies.spec import Frames, NetworkSpec
+from policies.training.config import TrainingConfig
 
 LOSS = "loss"  # in a checkpoint, beside the tensors of the network and of Adam
 NEEDLESS_COST = 0.1  # failures that a needless brake is as bad as
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """How a network is fitted."""
-
-    batch: int = 96  # frames
-    learning_rate: float = 5e-3  # of Adam, at the start of a course; falls to a fiftieth of it by a cosine
-    brake_share: float = 0.3  # of every batch; in the recorded frames it is about a tenth
-
-    def __post_init__(self) -> None:
-        check_range("batch", self.batch, 1, 100_000)
-        check_range("learning_rate", self.learning_rate, 1e-8, 1.0)
-        check_range("brake_share", self.brake_share, 0.0, 1.0)
-        self.of_each(1)
-
-    def of_each(self, scenarios: int) -> tuple[int, int]:
-        """Frames of every scenario in a batch: braking, going. ValueError if there are none of either."""
-        size = max(round(self.batch / scenarios), 1)
-        brake = round(size * self.brake_share)
-        if not 0 < brake < size:
-            raise ValueError(
-                f"batch={self.batch} with brake_share={self.brake_share} must hold frames of both kinds of every "
-                f"scenario, of which there are {scenarios}: {brake} of {size} would brake"
-            )
-        return brake, size - brake
-
-
-def balanced(labels: Mapping[str, Ints], recipe: Recipe, rng: np.random.Generator) -> Iterator[dict[str, Ints]]:
+def balanced(labels: Mapping[str, Ints], config: TrainingConfig, rng: np.random.Generator) -> Iterator[dict[str, Ints]]:
     """Endless batches of frame numbers: equally many of every scenario, a fixed share of them with the expert braking.
 
     Without the share most frames say "go", and the clone learns to; without the balance it learns the scenario whose
     episodes are long. The batch is rounded to a multiple of the scenarios.
     """
-    of_brake, of_go = recipe.of_each(len(labels))
+    of_brake, of_go = config.frames_of_each(len(labels))
     kinds = {name: (np.flatnonzero(of == BRAKE), np.flatnonzero(of != BRAKE)) for name, of in labels.items()}
     for name, (brake, go) in kinds.items():
         if not len(brake) or not len(go):
@@ -72,22 +46,22 @@ def fit(
     network: nn.Module,
     optimiser: torch.optim.Adam,
     frames: Mapping[str, Frames],
-    recipe: Recipe,
+    config: TrainingConfig,
     steps: range,
     total: int,
     rng: np.random.Generator,
     advance: Callable[[int], object],
 ) -> float:
-    """Take the steps numbered `steps` of a course of `total` on the frames of every scenario; return their mean loss.
+    """Take the steps numbered `steps` of a run of `total` on the frames of every scenario; return their mean loss.
 
     One cosine goes over all rounds: a rate that rises again with every round costs precision that is not regained.
     """
     network.train()
-    batches = balanced({name: of.label for name, of in frames.items()}, recipe, rng)
+    batches = balanced({name: of.label for name, of in frames.items()}, config, rng)
     losses = []
     for step in steps:
         for group in optimiser.param_groups:
-            group["lr"] = recipe.learning_rate * (0.51 + 0.49 * math.cos(math.pi * step / total))
+            group["lr"] = config.learning_rate * (0.51 + 0.49 * math.cos(math.pi * step / total))
         seen, label = _gathered(frames, next(batches))
         loss = torch.nn.functional.cross_entropy(spec.logits(network, seen), label)
         optimiser.zero_grad()
@@ -127,7 +101,9 @@ class Worth:
         return (self.cost, self.time) < (other.cost, other.time)
 
 
-def drive(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], advance: Callable[[int], object]) -> list[Episode]:
+def drive_episodes(
+    policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], advance: Callable[[int], object]
+) -> list[Episode]:
     """Closed-loop episodes of a network."""
     episodes = []
     for episode in rollouts(envs, policy, seeds):
@@ -137,7 +113,7 @@ def drive(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], advance: Cal
 
 
 def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam, loss: float = math.nan) -> None:
-    """Keep the network, Adam's moments and the last loss, so that a run goes on as if it had not stopped."""
+    """Keep the network, Adam's moments and the last loss, so that a run resumes as if it had not stopped."""
     tensors: dict[str, Tensor] = {f"network.{name}": value for name, value in network.state_dict().items()}
     tensors[LOSS] = torch.tensor(loss, dtype=torch.float64)
     for index, state in optimiser.state_dict()["state"].items():

@@ -1,14 +1,11 @@
 """What an episode is made of: its seed, what was decided in it, and what the expert would have done.
 
-The traffic is a function of the seed, the settings of the scene and the decisions, so these are enough to meet the
-episode again, whatever is sensed or shared in it: one demonstrations serves every network, a few bytes a frame.
+The traffic is a function of the seed, the settings of the scene and the decisions. So these are enough to replay an
+episode, whatever is sensed or shared in it: the same demonstrations serve every network, at a few bytes a frame.
 """
 
-import io
 import json
 import time
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,19 +15,19 @@ from typing import Any
 import numpy as np
 
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.files import replace_file
 from cad_env.rules.expert import decisions, expert_of
 from cad_env.scenarios.registry import outside_sources
-from cad_env.scoring.rollout import BatchPolicy
+from cad_env.scoring.rollout import BatchPolicy, play
 from cad_env.simulation.scene_step import UNDER_WAY
 from cad_env.simulation.setup import Setup
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Bools, Ints, Observation
 from cad_env.version import version
+from policies.training.array_file import read_arrays, write_arrays
 
 SHARD_EPISODES = 64
 KEPT_EVERY = 1.0  # s, what has ended of a shard is written
-FORMAT = 2
+FORMAT = 3
 _ARRAYS = ("seed", "length", "outcome", "action", "label")
 
 Look = Callable[[Simulation, Observation], Any]
@@ -129,8 +126,8 @@ def replay(recorded: Demonstrations, envs: CADVectorEnv, look: Look) -> tuple[li
         return action
 
     outcome = np.zeros(len(recorded), np.int8)
-    for episode, ended in _play(envs, recorded.seed.tolist(), decide):
-        outcome[episode] = ended
+    for episode, place in play(envs.batch, recorded.seed.tolist(), decide):
+        outcome[episode] = envs.batch.outcomes[place]
     length = np.array([len(of) for of in looks])
     if unlike := np.flatnonzero((outcome != recorded.outcome) | (length != recorded.length)).tolist():
         raise _unlike(recorded, unlike[0])
@@ -183,31 +180,12 @@ def _drive(
             labels[episode].append(right)
         return action
 
-    for episode, outcome in _play(envs, seeds, decide):
+    for episode, place in play(batch, seeds, decide):
         yield Demonstrations(
             np.array([seeds[episode]], np.int64), np.array([len(actions[episode])], np.int64),
-            np.array([outcome], np.int8), np.array(actions[episode], np.int8), np.array(labels[episode], np.int8),
+            batch.outcomes[[place]].astype(np.int8), np.array(actions[episode], np.int8),
+            np.array(labels[episode], np.int8),
         )  # fmt: skip
-
-
-def _play(envs: CADVectorEnv, seeds: Sequence[int], decide: Callable[[Ints, Ints], Ints]) -> Iterator[tuple[int, int]]:
-    """Play an episode per seed, as many side by side as there are scenes: which one ended, and how.
-
-    `decide` is given the scenes that go on, (n,), and which episodes they play, (n,), and gives their actions (n,).
-    """
-    batch = envs.batch
-    waiting, free, going = iter(enumerate(seeds)), list(range(len(envs.batch))), dict[int, int]()
-    while True:
-        for place, (episode, seed) in zip(free, waiting, strict=False):
-            batch.start(place, seed)
-            going[place] = episode
-        if not going:
-            return
-        which = np.array(list(going))
-        batch.step(which, decide(which, np.array(list(going.values()))))
-        free = which[batch.outcomes[which] != UNDER_WAY].tolist()
-        for place in free:
-            yield going.pop(place), int(batch.outcomes[place])
 
 
 def scenes_of(setup: Setup) -> dict[str, Any]:
@@ -221,22 +199,19 @@ def scenes_of(setup: Setup) -> dict[str, Any]:
 
 def write_shard(path: Path, recorded: Demonstrations, made_with: Mapping[str, Any]) -> None:
     """Write a shard whole or not at all."""
-    meta = json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with})
-    archive = io.BytesIO()
-    np.savez_compressed(archive, meta=np.array(meta), **{name: getattr(recorded, name) for name in _ARRAYS})
-    replace_file(path, archive.getvalue())
+    about = json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with})
+    write_arrays(path, about, {name: getattr(recorded, name) for name in _ARRAYS})
 
 
 def read_shard(path: Path, made_with: Mapping[str, Any]) -> Demonstrations:
     """Read a shard back; ShardError for one that is missing, damaged, or made with something else."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            meta = json.loads(str(archive["meta"]))
-            recorded = Demonstrations(**{name: archive[name] for name in _ARRAYS})
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise ShardError(f"{path}: not a readable shard ({str(error) or type(error).__name__})") from None
+        about, arrays = read_arrays(path)
+        found = json.loads(about)
+        recorded = Demonstrations(**arrays)
+    except (ValueError, TypeError) as error:
+        raise ShardError(f"{path}: not a readable shard ({error})") from None
     wanted = json.loads(json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with}))
-    found = meta if isinstance(meta, dict) else {}
     for name, value in wanted.items():
         if found.get(name) != value:
             raise ShardError(f"{path}: has {name} {found.get(name)!r}, not {value!r}: delete it to record anew")
@@ -245,7 +220,7 @@ def read_shard(path: Path, made_with: Mapping[str, Any]) -> Demonstrations:
 
 
 def _check(path: Path, recorded: Demonstrations) -> None:
-    """The zip's own checksums find flipped bits; this finds a shard that was put together wrongly."""
+    """The checksum finds flipped bits; this finds a shard that was put together wrongly."""
     count, frames = len(recorded), int(recorded.length.sum())
     sound = (
         recorded.seed.shape == recorded.length.shape == recorded.outcome.shape == (count,)

@@ -1,30 +1,26 @@
-"""Frames that are dear to make, kept on the disk: the same for all training seeds of a row, and after a restart.
+"""Frames that are slow to make, kept on the disk: the same for all training seeds of a method, and after a restart.
 
 Frames of points take minutes of casting rays to see again; those of graphs are replayed faster than they are worth
 keeping. A file that is missing, damaged or of something else is made anew, so the folder may be deleted at any time.
 """
 
 import hashlib
-import io
 import json
 import sys
 from contextlib import suppress
-from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from torch import nn
 
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.files import replace_file
 from cad_env.simulation.setup import Setup
 from policies.spec import Frames, NetworkSpec
+from policies.training.array_file import ArrayFileError, read_arrays, write_arrays
 from policies.training.demonstrations import Demonstrations, replay, scenes_of
 
-FORMAT = 1
-_CHECKSUM = hashlib.sha256().digest_size  # bytes, at the end of a file
+FORMAT = 2
 
 
 def frames_of(
@@ -78,23 +74,16 @@ def _digest_of(recorded: Demonstrations) -> str:
 def _read(path: Path, key: str, kind: type) -> Frames | None:
     """None for a file that is not there, or not what was written under this key."""
     try:
-        data = path.read_bytes()
-    except OSError:
+        found, arrays = read_arrays(path)
+    except ArrayFileError:
         return None
-    archive = data[:-_CHECKSUM]
-    if hashlib.sha256(archive).digest() != data[-_CHECKSUM:]:  # zip's own checksums leave its headers out
+    if found != key:
         return None
-    with np.load(io.BytesIO(archive), allow_pickle=False) as parts:
-        if str(parts["key"]) != key:
-            return None
-        found = {field.name: parts[field.name] for field in fields(kind)}
-    frames: Frames = kind(**{name: part if part.ndim else part.item() for name, part in found.items()})
+    frames: Frames = kind(**{name: part if part.ndim else part.item() for name, part in arrays.items()})
     return frames
 
 
 def _write(path: Path, key: str, frames: Frames) -> None:
     """Write the frames whole or not at all."""
-    archive = io.BytesIO()
-    np.savez_compressed(archive, key=np.array(key), **vars(frames))
     path.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(path, archive.getvalue() + hashlib.sha256(archive.getvalue()).digest())
+    write_arrays(path, key, vars(frames))

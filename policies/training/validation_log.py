@@ -1,4 +1,4 @@
-"""What the checkpoints of a course were worth: a table with a row for each scenario that one was driven in."""
+"""What the checkpoints of a training run were worth: a table with a row for each scenario that one was driven in."""
 
 import csv
 import io
@@ -10,8 +10,6 @@ from typing import Any
 from cad_env.files import replace_file
 from cad_env.scoring.rollout import Episode
 from policies.training.cloning import Worth
-
-Row = Mapping[str, Any]
 
 
 def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
@@ -26,7 +24,7 @@ def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def worth(rows: Iterable[Row]) -> Worth:
+def worth(rows: Iterable[Mapping[str, Any]]) -> Worth:
     """The worth of a policy by its summaries, one a scenario, all of equally many episodes."""
     found = list(rows)
     failures, needless = (sum(row[name] for row in found) for name in ("failures", "needless_brakes"))
@@ -53,7 +51,7 @@ class Log:
         wanted = turn, segment, threshold
         return [row for row in self.rows if (row["round"], row["segment"], row["threshold"]) == wanted]
 
-    def add(self, row: Row) -> None:
+    def add(self, row: Mapping[str, Any]) -> None:
         """Keep a row."""
         self.rows.append(dict(row))
         self._write()

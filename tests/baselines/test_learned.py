@@ -10,19 +10,26 @@ from torch.nn.functional import cross_entropy
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
 from baselines.methods import LEARNED, SHARED, learned_named, method_named
-from baselines.training.config import Budget, course_of
+from baselines.training.config import training_config
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
 from policies.model_folder import SavedModel, save_model
 from policies.registry import SPECS, spec_named
 from policies.spec import Frames, NetworkSpec
 from policies.training.cloning import load_state, save_state
-from policies.training.dagger import Course
+from policies.training.config import TrainingConfig
 from policies.training.demonstrations import Demonstrations, joined, record, replay
 
 torch.set_num_threads(1)
 
-BUDGET = Budget(("left_turn",), "dsrc", episodes=6, dagger_rounds=1, steps=4, validation=1, dagger_episodes=1)
+RUN = {
+    "scenarios": ("left_turn",),
+    "episodes": 6,
+    "dagger_rounds": 1,
+    "steps": 4,
+    "validation": 1,
+    "dagger_episodes": 1,
+}
 
 
 @pytest.fixture(scope="module")
@@ -30,13 +37,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Demonstrations:
     return joined(record(tmp_path_factory.mktemp("two"), CADVectorEnv(2, radio="none"), None, (3, 4), lambda n: None))
 
 
-def course(name: str) -> tuple[Course, NetworkSpec]:
-    made = course_of(learned_named(name), 1, BUDGET)
+def config_and_spec(name: str) -> tuple[TrainingConfig, NetworkSpec]:
+    made = training_config(learned_named(name), {**RUN, "seed": 1})
     return made, spec_named(made.spec)
 
 
 def some_frames(name: str, recorded: Demonstrations) -> Frames:
-    made, spec = course(name)
+    made, spec = config_and_spec(name)
     network = spec.build(made.network, seed=1)
     envs = CADVectorEnv(2, radio=made.radio, depth=made.depth, **spec.environment(network))
     return spec.frames(*replay(recorded, envs, spec.look))
@@ -44,7 +51,7 @@ def some_frames(name: str, recorded: Demonstrations) -> Frames:
 
 @pytest.mark.parametrize("name", LEARNED)
 def test_a_row_learns_is_kept_and_drives(name: str, recorded: Demonstrations, tmp_path: Path) -> None:
-    made, spec = course(name)
+    made, spec = config_and_spec(name)
     network, frames = spec.build(made.network, seed=1), some_frames(name, recorded)
     assert len(frames) == len(recorded.label)
     batch = {key: torch.from_numpy(part) for key, part in frames.batch(np.arange(0, len(frames), 9)).items()}
@@ -69,7 +76,7 @@ def test_a_row_learns_is_kept_and_drives(name: str, recorded: Demonstrations, tm
 
 @pytest.mark.parametrize("name", LEARNED)
 def test_the_same_seed_gives_the_same_first_weights_and_another_does_not(name: str) -> None:
-    made, spec = course(name)
+    made, spec = config_and_spec(name)
     one, same, other = (spec.build(made.network, seed).state_dict() for seed in (1, 1, 2))
     assert all(torch.equal(one[part], same[part]) for part in one)
     assert any(not torch.equal(one[part], other[part]) for part in one)
@@ -78,14 +85,14 @@ def test_the_same_seed_gives_the_same_first_weights_and_another_does_not(name: s
 def test_rows_say_what_they_share_and_own_views_share_nothing() -> None:
     assert {row.shares for row in LEARNED.values()} <= set(SHARED)
     assert {row.spec for row in LEARNED.values()} <= set(SPECS)
-    assert course("gat")[0].radio == "none"
-    assert course("collab-gat")[0].depth == 1
+    assert config_and_spec("gat")[0].radio == "none"
+    assert config_and_spec("collab-gat")[0].depth == 1
 
 
 def test_rows_of_points_are_validated_on_few_episodes_and_a_clone_takes_all_its_steps_at_once() -> None:
-    budget = Budget(("left_turn",), "dsrc", episodes=6, dagger_rounds=2, steps=10, validation=60)
+    run = {"scenarios": ("left_turn",), "episodes": 6, "dagger_rounds": 2, "steps": 10, "validation": 60}
     graph, points, clone = (
-        course_of(learned_named(name), 0, budget) for name in ("stgraph", "raw-points", "stgraph-bc")
+        training_config(learned_named(name), run) for name in ("stgraph", "raw-points", "stgraph-bc")
     )
     assert (graph.validation, points.validation, points.final_validation) == (60, 24, 40)
     assert (clone.dagger_rounds, clone.steps) == (0, 20)
@@ -112,7 +119,7 @@ def test_whoever_sees_only_the_command_learns_which_one_is_dangerous() -> None:
 
 
 def test_a_checkpoint_of_another_row_is_refused(tmp_path: Path) -> None:
-    networks = [course(name)[1].build(course(name)[0].network, 0) for name in ("stgraph", "gat")]
+    networks = [config_and_spec(name)[1].build(config_and_spec(name)[0].network, 0) for name in ("stgraph", "gat")]
     save_state(tmp_path / "state", networks[0], torch.optim.Adam(networks[0].parameters()), 0.25)
     with pytest.raises(ValueError, match="not a checkpoint of this network"):
         load_state(tmp_path / "state", networks[1], torch.optim.Adam(networks[1].parameters()))

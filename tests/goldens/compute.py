@@ -23,8 +23,8 @@ from cad_env.lidar.config import CloudConfig
 from cad_env.scenarios import SHIPPED
 from policies.registry import spec_named
 from policies.training import ppo
-from policies.training.cloning import Recipe
-from policies.training.dagger import Course, train
+from policies.training.config import TrainingConfig
+from policies.training.dagger import train_network
 
 HERE = Path(__file__).parent
 TRAFFIC, RADIOS = ("none", "light", "dense"), ("none", "dsrc", "ideal")
@@ -71,12 +71,12 @@ def weights(folder: Path) -> str:
 def trained(network: str, folder: Path) -> str:
     """Digest of a network that has learned for a moment, with dagger_rounds, on two scenarios."""
     spec = spec_named(network)
-    course = Course(
+    config = TrainingConfig(
         scenarios=SHIPPED[:2], radio="ideal", episodes=6, dagger_rounds=1, dagger_episodes=1, steps=6,
-        segments=2, validation=1, final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=8), spec=spec.name,
+        segments=2, validation=1, final_validation=1, thresholds=(0.5,), batch=8, spec=spec.name,
         network=spec.config_type(),
     )  # fmt: skip
-    train(course, folder, lambda done: None)
+    train_network(config, folder, lambda done: None)
     return weights(folder)
 
 

@@ -20,15 +20,15 @@ from baselines.paper import command as reproduce
 from baselines.paper.gathering import commands, gather
 from baselines.paper.presets import PRESETS, Preset
 from baselines.paper.report import write
-from baselines.paper.tasks import Plan, Task, in_table, measuring, perform, scoring, training, units, work_of
+from baselines.paper.tasks import PaperTask, Plan, in_table, measuring, perform, scoring, training, units, work_of
 from baselines.workers import heard
 from cad_env.scoring.scorecard import Record
 
 torch.set_num_threads(1)
 
 TINY = Preset(
-    seeds=(0, 1), episodes=6, dagger_rounds=0, dagger_episodes=1, steps=3, validation=1, open_loop=2, scored=2,
-    swept=1, sweep_points="ends", ppo_steps=256,
+    seeds=(0, 1), open_loop=2, scored=2, swept=1, sweep_points="ends", ppo_steps=256,
+    training={"episodes": 6, "dagger_rounds": 0, "dagger_episodes": 1, "steps": 3, "validation": 1},
 )  # fmt: skip
 SCENES = ("left_turn",)
 
@@ -104,9 +104,9 @@ def test_what_is_done_is_not_done_again_and_stands_side_by_side(plan: Plan, monk
 
 def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = replace(plan, rows=("stgraph",), preset=replace(TINY, seeds=(0,)))
-    perform(plan, Task("train", "stgraph", 0), lambda work: None)
+    perform(plan, PaperTask("train", "stgraph", 0), lambda work: None)
     for what in ("dsrc", "sweeps/delay/0.5"):
-        perform(plan, Task("closed" if what == "dsrc" else "sweep", "stgraph", 0, what), lambda work: None)
+        perform(plan, PaperTask("closed" if what == "dsrc" else "sweep", "stgraph", 0, what), lambda work: None)
     driven: list[str] = []
 
     def counted(settings: Settings, task: Episodes) -> Iterator[Record]:
@@ -115,13 +115,13 @@ def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypat
 
     monkeypatch.setattr("baselines.evaluation.run.drive", counted)
     for what in ("sweeps/delay/0.0", "sweeps/gnss/0.0", "sweeps/budget/25000", "sweeps/depth/15"):
-        perform(plan, Task("sweep", "stgraph", 0, what), lambda work: None)
+        perform(plan, PaperTask("sweep", "stgraph", 0, what), lambda work: None)
     assert not driven
-    records = [read_records(scoring(plan, Task(*task)).out) for task in (
+    records = [read_records(scoring(plan, PaperTask(*task)).out) for task in (
         ("closed", "stgraph", 0, "dsrc"), ("sweep", "stgraph", 0, "sweeps/delay/0.0"),
     )]  # fmt: skip
     assert records[1] == records[0][: TINY.swept]
-    perform(plan, Task("sweep", "stgraph", 0, "sweeps/gnss/1.0"), lambda work: None)
+    perform(plan, PaperTask("sweep", "stgraph", 0, "sweeps/gnss/1.0"), lambda work: None)
     assert len(driven) == 1
 
 
@@ -217,9 +217,9 @@ def test_what_failed_is_told_and_kept_though_the_next_stage_is_interrupted(
 ) -> None:
     monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
     run = tmp_path / "run"
-    course = run / "models/seed_0/command-only/course.json"
-    course.parent.mkdir(parents=True)
-    course.write_text("not JSON")
+    note = run / "models/seed_0/command-only/training.json"
+    note.parent.mkdir(parents=True)
+    note.write_text("not JSON")
 
     def interrupted(told: Any) -> list[Any]:
         if (run / "failures.txt").exists():
@@ -248,7 +248,7 @@ def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
     monkeypatch.setattr(reproduce, "PRESETS", {"quick": replace(TINY, seeds=(0,), swept=0)})
     broken = tmp_path / "run/models/seed_0/command-only"
     broken.mkdir(parents=True)
-    (broken / "course.json").write_text("not JSON")
+    (broken / "training.json").write_text("not JSON")
     arguments = ["--method", "command-only", "gat", "always-go", "--out", str(tmp_path / "run")]
     assert reproduce.main(arguments) == 1
     error = capsys.readouterr().err
@@ -256,7 +256,7 @@ def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
     records = read_records(tmp_path / "run/closed/dsrc/0")
     assert {record.method for record in records} == {"always-go", "gat"}
     assert "Traceback" in (tmp_path / "run/failures.txt").read_text()
-    (broken / "course.json").unlink()
+    (broken / "training.json").unlink()
     assert reproduce.main(arguments) == 0
     found = json.loads((tmp_path / "run/results.json").read_text())
     assert "command-only" in json.dumps(found["closed"])

@@ -22,8 +22,8 @@ TINY = ["--episodes", "6", "--dagger_rounds", "0", "--steps", "9", "--validation
 
 
 def claimed(settings: train.TrainSettings) -> None:
-    for lesson, course in settings.lessons():
-        train.claim(lesson.folder, course)
+    for task in settings.tasks():
+        train.claim_folder(task)
 
 
 def command(*arguments: str) -> list[str]:
@@ -52,7 +52,7 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     for name in ("stgraph", "stgraph-own"):
         assert {"model.safetensors", "config.json", "metrics.csv"} <= {p.name for p in (out / name).iterdir()}
     rows = json.loads(next(out.glob("scores_*/scores.json")).read_text())
-    assert {row["method"] for row in rows} == {*train.RULES, "stgraph", "stgraph-own"}
+    assert {row["method"] for row in rows} == {*train.REFERENCE_METHODS, "stgraph", "stgraph-own"}
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.Captu
     claimed(settings)
     claimed(settings)
     assert train.main(["--out", str(tmp_path / "run"), "--steps", "12"]) == 2
-    assert "steps=9, now 12" in capsys.readouterr().err
+    assert "another steps (9, now 12)" in capsys.readouterr().err
 
 
 def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,7 +94,7 @@ def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.C
     assert train.main(["--out", str(tmp_path / "run"), "--scenario", *others]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "scenarios=['left_turn'], now" in error
+    assert 'another scenarios (["left_turn"], now' in error
 
 
 def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learned_over(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learn
         for rows in ({}, {"method": ("compressed", "gat", "raw-points")})
     )
     assert [run.radio for run in usual] == ["dsrc"]
-    learned = {name: run.radio for run in other for name in run.method if name not in train.RULES}
+    learned = {name: run.radio for run in other for name in run.method if name not in train.REFERENCE_METHODS}
     assert learned == {"compressed": "cv2x", "gat": "dsrc", "raw-points": "ideal"}
     assert len({run.out for run in [*usual, *other]}) == 4
 

@@ -1,4 +1,4 @@
-"""Training: batches are balanced, the loss falls, and a course that was stopped goes on as if it had not been."""
+"""Training: batches are balanced, the loss falls, and a run that was stopped resumes as if it had not been."""
 
 import csv
 import re
@@ -17,15 +17,16 @@ from policies.model_folder import ModelError, load_model
 from policies.spec import Frames
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.spec import SPEC
-from policies.training.cloning import Recipe, Worth, balanced, drive, fit, load_state, save_state
-from policies.training.dagger import Course, train
+from policies.training.cloning import Worth, balanced, drive_episodes, fit, load_state, save_state
+from policies.training.config import TrainingConfig
+from policies.training.dagger import train_network
 from policies.training.demonstrations import joined, record, replay
 from policies.training.validation_log import Log
 
 NAMES = tuple(SCENARIOS)[:2]
-TINY = Course(
+TINY = TrainingConfig(
     scenarios=NAMES, episodes=6, dagger_rounds=1, dagger_episodes=2, steps=8, segments=2, validation=1,
-    final_validation=1, recipe=Recipe(batch=16),
+    final_validation=1, batch=16,
 )  # fmt: skip
 
 
@@ -42,7 +43,7 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Frames]:
 
 def test_every_scenario_has_its_share_of_a_batch_and_a_third_of_it_brakes() -> None:
     labels = {"long": np.array([BRAKE] * 5 + [0] * 95), "short": np.array([0] * 8 + [BRAKE])}
-    batches = balanced(labels, Recipe(60, brake_share=0.3), np.random.default_rng(0))
+    batches = balanced(labels, TrainingConfig(batch=60, brake_share=0.3), np.random.default_rng(0))
     for _ in range(20):
         for name, chosen in next(batches).items():
             assert len(chosen) == 30
@@ -52,16 +53,16 @@ def test_every_scenario_has_its_share_of_a_batch_and_a_third_of_it_brakes() -> N
 def test_a_scenario_with_frames_of_one_kind_cannot_be_balanced() -> None:
     labels = {"mixed": np.arange(10) % 2, "calm": np.zeros(10)}
     with pytest.raises(ValueError, match="calm must hold frames of both kinds"):
-        next(balanced(labels, Recipe(4, brake_share=0.5), np.random.default_rng(0)))
+        next(balanced(labels, TrainingConfig(NAMES, batch=4, brake_share=0.5), np.random.default_rng(0)))
 
 
 def test_the_loss_falls(frames: dict[str, Frames]) -> None:
     network = StGraphNet(seed=0)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-2)
-    rng, recipe = np.random.default_rng(0), Recipe(batch=32, learning_rate=1e-2)
-    first = fit(SPEC, network, optimiser, frames, recipe, range(5), 60, rng, lambda n: None)
-    fit(SPEC, network, optimiser, frames, recipe, range(5, 55), 60, rng, lambda n: None)
-    last = fit(SPEC, network, optimiser, frames, recipe, range(55, 60), 60, rng, lambda n: None)
+    rng, config = np.random.default_rng(0), TrainingConfig(batch=32, learning_rate=1e-2)
+    first = fit(SPEC, network, optimiser, frames, config, range(5), 60, rng, lambda n: None)
+    fit(SPEC, network, optimiser, frames, config, range(5, 55), 60, rng, lambda n: None)
+    last = fit(SPEC, network, optimiser, frames, config, range(55, 60), 60, rng, lambda n: None)
     assert last < 0.9 * first
 
 
@@ -91,7 +92,7 @@ def test_a_saved_state_goes_on_as_if_it_had_not_stopped(frames: dict[str, Frames
                 network,
                 optimiser,
                 frames,
-                Recipe(batch=16),
+                TrainingConfig(batch=16),
                 range(3 * part, 3 * part + 3),
                 6,
                 rng,
@@ -113,20 +114,20 @@ def test_the_learning_rate_falls_once_over_all_rounds(tmp_path: Path, monkeypatc
         )  # fmt: skip
 
     monkeypatch.setattr("policies.training.dagger.fit", watched)
-    train(TINY, tmp_path, lambda work: None)
+    train_network(TINY, tmp_path, lambda work: None)
     assert len(rates) == TINY.steps_of(0) + TINY.steps_of(1) == 12
     assert rates == sorted(rates, reverse=True)
-    assert rates[0] == pytest.approx(TINY.recipe.learning_rate)
-    assert rates[-1] < 0.05 * TINY.recipe.learning_rate
+    assert rates[0] == pytest.approx(TINY.learning_rate)
+    assert rates[-1] < 0.05 * TINY.learning_rate
 
 
 class StoppedError(Exception):
     """As good as a Ctrl-C."""
 
 
-def test_a_course_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> None:
+def test_a_run_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> None:
     told: list[float] = []
-    train(TINY, tmp_path / "whole", told.append)
+    train_network(TINY, tmp_path / "whole", told.append)
     assert sum(told) == pytest.approx(TINY.work())
     whole = load_model(tmp_path / "whole")
     for stop_at in (0.2, 0.5, 0.9):
@@ -139,8 +140,8 @@ def test_a_course_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> Non
                 raise StoppedError
 
         with pytest.raises(StoppedError):
-            train(TINY, tmp_path / "stopped", advance)
-    train(TINY, tmp_path / "stopped", lambda work: None)
+            train_network(TINY, tmp_path / "stopped", advance)
+    train_network(TINY, tmp_path / "stopped", lambda work: None)
     stopped = load_model(tmp_path / "stopped")
     assert stopped.threshold == whole.threshold
     for name, value in whole.network.state_dict().items():
@@ -150,7 +151,7 @@ def test_a_course_stopped_anywhere_ends_in_the_same_model(tmp_path: Path) -> Non
 
 def test_metrics_have_a_row_for_every_checkpoint_and_scenario(tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    train(TINY, folder, lambda work: None)
+    train_network(TINY, folder, lambda work: None)
     with (folder / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     wanted = [(turn, segment, name) for turn in "01" for segment in "01" for name in NAMES]
@@ -161,7 +162,7 @@ def test_metrics_have_a_row_for_every_checkpoint_and_scenario(tmp_path: Path) ->
 def test_a_torn_row_is_driven_again_and_nothing_else_is_done_twice(
     torn: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train(TINY, tmp_path, lambda work: None)
+    train_network(TINY, tmp_path, lambda work: None)
     model, before = (tmp_path / "config.json").read_bytes(), (tmp_path / torn).read_text()
     (tmp_path / torn).write_text(before[:-9])
     (tmp_path / "config.json").unlink()
@@ -169,12 +170,12 @@ def test_a_torn_row_is_driven_again_and_nothing_else_is_done_twice(
 
     def watched(policy: Policy, envs: CADVectorEnv, seeds: range, advance: Any) -> list[Episode]:
         driven.append(seeds)
-        return drive(policy, envs, seeds, advance)
+        return drive_episodes(policy, envs, seeds, advance)
 
-    monkeypatch.setattr("policies.training.dagger.drive", watched)
+    monkeypatch.setattr("policies.training.dagger.drive_episodes", watched)
     monkeypatch.setattr("policies.training.dagger.fit", None)
     monkeypatch.setattr("policies.training.frame_cache.replay", None)
-    train(TINY, tmp_path, lambda work: None)
+    train_network(TINY, tmp_path, lambda work: None)
     assert len(driven) == 1
     assert (tmp_path / torn).read_text() == before
     assert (tmp_path / "config.json").read_bytes() == model
@@ -183,7 +184,7 @@ def test_a_torn_row_is_driven_again_and_nothing_else_is_done_twice(
 def test_stopped_in_the_first_scenario_of_a_validation_it_fits_nothing_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train(TINY, tmp_path / "whole", lambda work: None)
+    train_network(TINY, tmp_path / "whole", lambda work: None)
     rounds = TINY.dagger_rounds + 1
     last = rounds * TINY.segments  # the validation after the last segment
     begun: list[range] = []
@@ -192,14 +193,14 @@ def test_stopped_in_the_first_scenario_of_a_validation_it_fits_nothing_again(
         begun.append(seeds)
         if len(begun) == (last - 1) * len(NAMES) + 1:
             raise StoppedError
-        return drive(policy, envs, seeds, advance)
+        return drive_episodes(policy, envs, seeds, advance)
 
-    monkeypatch.setattr("policies.training.dagger.drive", stopping)
+    monkeypatch.setattr("policies.training.dagger.drive_episodes", stopping)
     with pytest.raises(StoppedError):
-        train(TINY, tmp_path / "stopped", lambda work: None)
+        train_network(TINY, tmp_path / "stopped", lambda work: None)
     monkeypatch.setattr("policies.training.dagger.fit", None)
     monkeypatch.setattr("policies.training.frame_cache.replay", None)
-    train(TINY, tmp_path / "stopped", lambda work: None)
+    train_network(TINY, tmp_path / "stopped", lambda work: None)
     for name in ("metrics.csv", "finalists.csv"):
         assert (tmp_path / "stopped" / name).read_text() == (tmp_path / "whole" / name).read_text()
 
@@ -230,22 +231,22 @@ def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then
         ("thresholds", ()), ("thresholds", (0.5, 0.5)),
     ],
 )  # fmt: skip
-def test_an_impossible_course_is_refused_with_the_name_and_the_value(name: str, value: object) -> None:
+def test_an_impossible_config_is_refused_with_the_name_and_the_value(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=rf"{name}.* {re.escape(repr(value))}(:|$)"):
-        Course(**{name: value})  # type: ignore[arg-type]
+        TrainingConfig(**{name: value})  # type: ignore[arg-type]
 
 
-def test_a_course_of_nothing_or_with_a_threshold_that_is_no_probability_is_refused() -> None:
+def test_a_config_of_nothing_or_with_a_threshold_that_is_no_probability_is_refused() -> None:
     with pytest.raises(ValueError, match="scenarios must name at least one, each once, got ''"):
-        Course(scenarios=())
+        TrainingConfig(scenarios=())
     with pytest.raises(ValueError, match=r"thresholds must be a number from 0 to 1, got 1\.5"):
-        Course(thresholds=(0.5, 1.5))
+        TrainingConfig(thresholds=(0.5, 1.5))
 
 
 @pytest.mark.parametrize(("name", "value"), [("batch", 0), ("learning_rate", -1.0), ("brake_share", 1.5)])
-def test_an_impossible_recipe_is_refused_with_the_name_and_the_value(name: str, value: float) -> None:
+def test_an_impossible_way_to_fit_is_refused_with_the_name_and_the_value(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} must be a number .*got {value}"):
-        Recipe(**{name: value})  # type: ignore[arg-type]
+        TrainingConfig(**{name: value})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("batch", "share", "scenarios"), [(4, 0.3, 3), (96, 0.0, 3), (96, 1.0, 3), (1, 0.5, 1)])
@@ -253,7 +254,7 @@ def test_a_batch_without_frames_of_both_kinds_is_refused_before_anything_is_reco
     batch: int, share: float, scenarios: int
 ) -> None:
     with pytest.raises(ValueError, match=f"batch={batch} with brake_share={share} must hold frames of both kinds"):
-        Course(scenarios=tuple(SCENARIOS)[:scenarios], recipe=Recipe(batch, brake_share=share))
+        TrainingConfig(scenarios=tuple(SCENARIOS)[:scenarios], batch=batch, brake_share=share)
 
 
 def test_a_damaged_checkpoint_is_refused_with_its_name(tmp_path: Path) -> None:

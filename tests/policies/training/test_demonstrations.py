@@ -123,15 +123,15 @@ def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
 ) -> None:
     driven: list[int] = []
 
-    def watched(envs: CADVectorEnv, seeds: list[int], decide: object) -> Iterator[tuple[int, int]]:
-        for episode, outcome in played(envs, seeds, decide):
+    def watched(batch: object, seeds: list[int], decide: object) -> Iterator[tuple[int, int]]:
+        for episode, place in played(batch, seeds, decide):
             driven.append(seeds[episode])
-            yield episode, outcome
+            yield episode, place
             if len(driven) == 4:
                 raise KeyboardInterrupt
 
-    played = demonstrations._play
-    monkeypatch.setattr(demonstrations, "_play", watched)
+    played = demonstrations.play
+    monkeypatch.setattr(demonstrations, "play", watched)
     monkeypatch.setattr(demonstrations, "KEPT_EVERY", 0.0)
     with pytest.raises(KeyboardInterrupt):
         record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None)

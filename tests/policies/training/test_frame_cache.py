@@ -12,8 +12,9 @@ from cad_env.envs.vector import CADVectorEnv
 from policies.registry import spec_named
 from policies.spec import Frames
 from policies.training import frame_cache as kept_frames
-from policies.training.cloning import Recipe, fit
-from policies.training.dagger import Course, train
+from policies.training.cloning import fit
+from policies.training.config import TrainingConfig
+from policies.training.dagger import train_network
 from policies.training.demonstrations import Demonstrations, joined, record, replay
 from policies.training.frame_cache import frames_of
 
@@ -172,10 +173,10 @@ def test_a_full_disk_leaves_nothing_behind(
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def tiny(name: str, **changes: Any) -> Course:
-    return Course(
+def tiny(name: str, **changes: Any) -> TrainingConfig:
+    return TrainingConfig(
         scenarios=("left_turn",), radio="ideal", episodes=6, dagger_rounds=0, steps=3, validation=1, final_validation=1,
-        segments=1, thresholds=(0.5,), recipe=Recipe(batch=6), spec=name,
+        segments=1, thresholds=(0.5,), batch=6, spec=name,
         network=spec_named(name).config_type(mlp_width=8), **changes,
     )  # fmt: skip
 
@@ -185,15 +186,15 @@ def test_further_seeds_replay_nothing_of_the_expert_and_end_in_the_same_model(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for folder in ("first", "second"):
-        train(tiny(name), tmp_path / folder, lambda work: None, tmp_path / "demonstrations")
+        train_network(tiny(name), tmp_path / folder, lambda work: None, tmp_path / "demonstrations")
         monkeypatch.setattr(kept_frames, "replay", None)
     for file in ("model.safetensors", "metrics.csv"):
         assert (tmp_path / "second" / file).read_bytes() == (tmp_path / "first" / file).read_bytes()
-    train(tiny(name, seed=1), tmp_path / "third", lambda work: None, tmp_path / "demonstrations")
+    train_network(tiny(name, seed=1), tmp_path / "third", lambda work: None, tmp_path / "demonstrations")
 
 
 def test_a_restart_replays_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    course = replace(tiny("compressed"), dagger_rounds=1, dagger_episodes=1)
+    config = replace(tiny("compressed"), dagger_rounds=1, dagger_episodes=1)
 
     def stopping(*given: Any) -> float:
         if given[5].start > 0:
@@ -203,7 +204,7 @@ def test_a_restart_replays_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     with monkeypatch.context() as patched:
         patched.setattr("policies.training.dagger.fit", stopping)
         with pytest.raises(KeyboardInterrupt):
-            train(course, tmp_path, lambda work: None)
+            train_network(config, tmp_path, lambda work: None)
     monkeypatch.setattr(kept_frames, "replay", None)
-    train(course, tmp_path, lambda work: None)
+    train_network(config, tmp_path, lambda work: None)
     assert len(list(tmp_path.glob("dagger_rounds/left_turn/frames/compressed_*/*.npz"))) == 1

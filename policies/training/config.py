@@ -1,0 +1,101 @@
+"""How one network is trained: the only place where these numbers and their defaults are declared."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from cad_env.config import check_range, radio_config
+from cad_env.types import FRAMES
+
+# Seeds of training stay below a million; those of scoring begin there. Every scenario uses the same ones.
+EXPERT_SEEDS, DAGGER_SEEDS, VALIDATION_SEEDS, FINAL_SEEDS = 0, 300_000, 900_000, 950_000
+LAST_SEED = 999_999
+FINALISTS = 2  # checkpoints that are validated once more
+
+# What one unit of each kind of work costs, relative to an optimiser step: for an honest progress bar.
+REPLAYED_COST, DRIVEN_COST = 0.9, 1.6
+
+Advance = Callable[[float], object]  # told of work that was done
+
+
+def _shipped() -> tuple[str, ...]:
+    from cad_env.scenarios import SHIPPED  # here, because it brings numba, for which --help need not wait
+
+    return SHIPPED
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """How one network is trained. Episodes are counted per scenario."""
+
+    scenarios: tuple[str, ...] = field(default_factory=_shipped)  # that one network learns
+    radio: str = "dsrc"  # none: trained, as it will be run, without sharing
+    depth: int = FRAMES  # newest frames in a message
+    seed: int = 0
+    episodes: int = 1500  # driven by the expert
+    dagger_rounds: int = 2  # the network drives, the expert labels
+    dagger_episodes: int = 400  # in each DAgger round
+    mixing: float = 0.0  # share of the decisions that the expert takes in the first DAgger round; of the n-th: to the n
+    steps: int = 2400  # optimiser steps of the first round; half as many in each later one
+    segments: int = 3  # parts of a round; a checkpoint and a validation after each
+    validation: int = 60  # episodes after each segment
+    final_validation: int = 100  # episodes for each of the best checkpoints and thresholds
+    thresholds: tuple[float, ...] = (0.8, 0.65, 0.5, 0.35)
+    batch: int = 96  # frames
+    learning_rate: float = 5e-3  # of Adam, at the start; falls to a fiftieth of it by a cosine over all rounds
+    brake_share: float = 0.3  # of every batch; in the recorded frames it is about a tenth
+    spec: str = "stgraph"  # by its name in policies.registry
+    network: Any = None  # of the spec's config type; None: its defaults
+
+    def __post_init__(self) -> None:
+        from cad_env.scenarios import scenario_named
+
+        object.__setattr__(self, "scenarios", tuple(scenario_named(each).name for each in self.scenarios))
+        if not self.scenarios or len(set(self.scenarios)) < len(self.scenarios):
+            raise ValueError(f"scenarios must name at least one, each once, got {' '.join(self.scenarios)!r}")
+        radio_config(self.radio)
+        for name, low, high in (
+            ("depth", 1, FRAMES), ("seed", 0, 2**31), ("episodes", 1, DAGGER_SEEDS), ("dagger_rounds", 0, 49),
+            ("dagger_episodes", 1, 10_000), ("mixing", 0.0, 1.0), ("steps", 3, 10**7), ("segments", 1, 100),
+            ("validation", 1, FINAL_SEEDS - VALIDATION_SEEDS), ("final_validation", 1, LAST_SEED - FINAL_SEEDS),
+            ("batch", 1, 100_000), ("learning_rate", 1e-8, 1.0), ("brake_share", 0.0, 1.0),
+        ):  # fmt: skip
+            check_range(name, getattr(self, name), low, high)
+        if not self.thresholds or len(set(self.thresholds)) < len(self.thresholds):
+            raise ValueError(f"thresholds must be at least one, each once, got {self.thresholds}")
+        for threshold in self.thresholds:
+            check_range("thresholds", threshold, 0.0, 1.0)
+        self.frames_of_each(len(self.scenarios))
+        self._settle_network()
+
+    def _settle_network(self) -> None:
+        from policies.registry import spec_named  # here, because it may bring torch
+        from policies.spec import fitting
+
+        network = spec_named(self.spec).config_type() if self.network is None else self.network
+        object.__setattr__(self, "network", fitting(network, self.scenarios))
+
+    def frames_of_each(self, scenarios: int) -> tuple[int, int]:
+        """Frames of every scenario in a batch: braking, going. ValueError if there are none of either."""
+        size = max(round(self.batch / scenarios), 1)
+        brake = round(size * self.brake_share)
+        if not 0 < brake < size:
+            raise ValueError(
+                f"batch={self.batch} with brake_share={self.brake_share} must hold frames of both kinds of every "
+                f"scenario, of which there are {scenarios}: {brake} of {size} would brake"
+            )
+        return brake, size - brake
+
+    def steps_of(self, turn: int) -> int:
+        """Optimiser steps of a round, a multiple of its segments."""
+        whole = self.steps if turn == 0 else self.steps // 2
+        return max(whole // self.segments, 1) * self.segments
+
+    def work(self) -> float:
+        """All that `train` will tell its `advance`."""
+        rounds = range(self.dagger_rounds + 1)
+        driven = self.dagger_rounds * self.dagger_episodes + self.segments * len(rounds) * self.validation
+        driven += FINALISTS * len(self.thresholds) * self.final_validation
+        replayed = self.episodes + self.dagger_rounds * self.dagger_episodes
+        per_scenario = REPLAYED_COST * replayed + DRIVEN_COST * driven
+        return len(self.scenarios) * per_scenario + sum(self.steps_of(turn) for turn in rounds)

@@ -48,14 +48,14 @@ def test_an_episode_ends_with_its_last_sight_and_the_next_begins_in_the_same_ste
 def test_seeds_that_judge_are_not_learned_from():
     assert SEEDS <= VALIDATION_SEEDS
     for preset in PRESETS.values():
-        course = Course(episodes=preset.episodes, dagger_rounds=preset.dagger_rounds, validation=preset.validation)
-        corrected = [DAGGER_SEEDS + turn * 10_000 for turn in range(1, preset.dagger_rounds + 1)]
+        config = TrainingConfig(**preset.training)
+        corrected = [DAGGER_SEEDS + turn * 10_000 for turn in range(1, config.dagger_rounds + 1)]
         parts = [
-            range(EXPERT_SEEDS, EXPERT_SEEDS + preset.episodes),
-            *(range(first, first + preset.dagger_episodes) for first in corrected),
+            range(EXPERT_SEEDS, EXPERT_SEEDS + config.episodes),
+            *(range(first, first + config.dagger_episodes) for first in corrected),
             range(FIRST_SEED, FIRST_SEED + preset.open_loop),
-            range(VALIDATION_SEEDS, VALIDATION_SEEDS + preset.validation),
-            range(FINAL_SEEDS, FINAL_SEEDS + course.final_validation),
+            range(VALIDATION_SEEDS, VALIDATION_SEEDS + config.validation),
+            range(FINAL_SEEDS, FINAL_SEEDS + config.final_validation),
             range(Settings().first_seed, Settings().first_seed + preset.scored),
         ]
         assert len(set().union(*parts)) == sum(map(len, parts))

@@ -22,7 +22,10 @@ def test_only_the_command_may_differ(tmp_path: Path) -> None:
     path = tmp_path / "note.json"
     claim(path, {"depth": 15, "command": "one"}, ADVICE)
     claim(path, {"depth": 15, "command": "two"}, ADVICE)
-    for wanted, change in (({"depth": 2}, r"another depth \(15, now 2\)"), ({"depth": 15, "loss": 0.1}, "another loss")):
+    for wanted, change in (
+        ({"depth": 2}, r"another depth \(15, now 2\)"),
+        ({"depth": 15, "loss": 0.1}, "another loss"),
+    ):
         with pytest.raises(ValueError, match=f"holds a run with {change}.*: use another folder"):
             claim(path, wanted, ADVICE)
 

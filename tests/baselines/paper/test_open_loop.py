@@ -61,7 +61,7 @@ def test_another_threshold_gives_the_answers_of_a_driver_that_has_it() -> None:
         "1111", "0111", "0110", "0000",
     ]  # fmt: skip
     assert at_threshold(sure, 0.7).episodes[0].counts() == (1, 1, 1, 1)
-    with pytest.raises(ValueError, match="stgraph gives no P\(brake\)"):
+    with pytest.raises(ValueError, match=r"stgraph gives no P\(brake\)"):
         at_threshold(LOOP, 0.5)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from baselines.evaluation.settings import Settings
 from baselines.methods import Method, method_named
 from baselines.references import is_reference, source_of
-from cad_env.types import Policy
+from cad_env.types import Command, Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
 
@@ -56,9 +56,13 @@ def _job(settings: Settings, scenario: str, name: str, _: str | None) -> Job:
     if method.make_policy is not None:
         return Job(scenario, method, options, method.make_policy(scenario))
     assert method.learned is not None
+    from cad_env.scenarios import scenario_named
     from policies.model_folder import load_model  # here, because torch takes a second that the others need not wait
 
     model = load_model(settings.models_folder() / method.learned.model)
+    known, asked = getattr(model.network.config, "commands", len(Command)), scenario_named(scenario).command_count
+    if known != asked:
+        raise ValueError(f"the model of {name} knows {known} commands, and {scenario} has {asked}: train one for it")
     if method.learned.shares in ("points", "features"):
         options = {**options, **model.environment()}
     policy = model.policy()

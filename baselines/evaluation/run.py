@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, nullcontext
 from dataclasses import asdict
@@ -19,8 +18,8 @@ from baselines.evaluation.store import NOTES, Store, key_of
 from baselines.workers import heard, prefer_one_thread, tell, workers
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import scenario_named, source_of
-from cad_env.scoring.rollout import BatchPolicy, Episode, rollouts
-from cad_env.scoring.scorecard import Record, Scorecard, scorecards
+from cad_env.scoring.rollout import BatchPolicy, rollouts
+from cad_env.scoring.scorecard import Record, Scorecard, record_of, scorecards
 from cad_env.version import version
 
 ABREAST = 16  # episodes side by side, for a policy that decides in batches
@@ -110,20 +109,7 @@ def drive(settings: Settings, task: Task) -> Iterator[Record]:
     job = job_of(settings, task.scenario, task.method)
     side_by_side = min(ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
     envs = CADVectorEnv(side_by_side, **job.options)
-    return map(_record, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
-
-
-def _record(episode: Episode) -> Record:
-    messages = int(episode.messages_sent.sum())
-    return Record(
-        episode.scenario, episode.method, episode.seed, episode.hazard, episode.outcome, round(episode.time, 6),
-        episode.brakes, round(episode.bytes_per_message, 3) if messages else None,
-        int(episode.largest_message.max()) if messages else None, messages,
-        int(episode.messages_lost.sum()), int(episode.bytes_sent.sum()),
-        round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
-        None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
-        episode.connected, round(episode.hardest_brake, 6),
-    )  # fmt: skip
+    return map(record_of, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:

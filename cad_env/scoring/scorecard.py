@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 
 from cad_env.scoring.interval import wilson
+from cad_env.scoring.rollout import Episode
 from cad_env.types import OUTCOMES, STEP
 
 KINDS = ("all", "yes", "no")
@@ -94,6 +95,29 @@ def parse_record(line: str) -> Record:
     return Record(**values)
 
 
+def record_of(episode: Episode) -> Record:
+    """What is kept of an episode."""
+    messages = int(episode.messages_sent.sum())
+    return Record(
+        scenario=episode.scenario,
+        method=episode.method,
+        seed=episode.seed,
+        hazard=episode.hazard,
+        outcome=episode.outcome,
+        time=round(episode.time, 6),
+        brakes=episode.brakes,
+        bytes_per_message_mean=round(episode.bytes_per_message, 3) if messages else None,
+        bytes_per_message_max=int(episode.largest_message.max()) if messages else None,
+        messages_sent=messages,
+        messages_lost=int(episode.messages_lost.sum()),
+        bytes_total=int(episode.bytes_sent.sum()),
+        min_ttc=round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
+        hazard_timing=None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
+        connected=episode.connected,
+        hardest_brake=round(episode.hardest_brake, 6),
+    )
+
+
 @dataclass(frozen=True)
 class Scorecard:
     """How a method did in a scenario: one row of the table. Rates are shares of `episodes`."""
@@ -145,21 +169,40 @@ def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
     episodes = len(records)
     count = {outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES}
     braked = sum(record.brakes > 0 for record in records)
+    collision_rate, collision_low, collision_high = _rate(count["collision"], episodes)
+    success_rate, success_low, success_high = _rate(count["success"], episodes)
     needless: _Interval = _rate(braked, episodes) if kind == "no" else (None, None, None)
     messages = sum(record.messages_sent for record in records)
     total = sum(record.bytes_total for record in records)
     time = math.fsum(record.time for record in records)
     return Scorecard(
-        records[0].scenario, records[0].method, kind, episodes,
-        count["collision"], *_rate(count["collision"], episodes),
-        count["success"], *_rate(count["success"], episodes),
-        count["timeout"], time / episodes, _mean([record.time for record in records if record.outcome == "success"]),
-        *needless,
-        total / messages if messages else None,
-        max((record.bytes_per_message_max for record in records if record.bytes_per_message_max), default=None),
-        total / time if time >= STEP else 0.0, messages, sum(record.messages_lost for record in records),
-        min((record.min_ttc for record in records if record.min_ttc is not None), default=None),
-    )  # fmt: skip
+        scenario=records[0].scenario,
+        method=records[0].method,
+        hazard=kind,
+        episodes=episodes,
+        collisions=count["collision"],
+        collision_rate=collision_rate,
+        collision_low=collision_low,
+        collision_high=collision_high,
+        successes=count["success"],
+        success_rate=success_rate,
+        success_low=success_low,
+        success_high=success_high,
+        timeouts=count["timeout"],
+        mean_time=time / episodes,
+        mean_time_success=_mean([record.time for record in records if record.outcome == "success"]),
+        needless_brakes=needless[0],
+        needless_low=needless[1],
+        needless_high=needless[2],
+        bytes_per_message_mean=total / messages if messages else None,
+        bytes_per_message_max=max(
+            (record.bytes_per_message_max for record in records if record.bytes_per_message_max), default=None
+        ),
+        bytes_per_second=total / time if time >= STEP else 0.0,
+        messages_sent=messages,
+        messages_lost=sum(record.messages_lost for record in records),
+        min_ttc=min((record.min_ttc for record in records if record.min_ttc is not None), default=None),
+    )
 
 
 def _rate(count: int, of: int) -> tuple[float, float, float]:

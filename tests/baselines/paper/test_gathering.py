@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from baselines.cli import parsed
+from baselines.evaluation.job import MODEL_FILES
 from baselines.evaluation.run import completed, identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import EPISODES, Store, difference, read_settings
-from baselines.methods import MODEL_FILES, method_named
+from baselines.methods import method_named
 from baselines.paper import command as reproduce
 from baselines.paper.folder import read_run
 from baselines.paper.gathering import gather

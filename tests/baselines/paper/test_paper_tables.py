@@ -14,7 +14,6 @@ from baselines.paper.acceptance import bars
 from baselines.paper.claims import orders
 from baselines.paper.closed_metrics import ClosedRow, closed_row, compared
 from baselines.paper.folder import read_run
-from baselines.paper.open_loop import environment_of
 from baselines.paper.published import SCENES, TABLE_2, TABLE_3
 from baselines.paper.report import found_in, write
 from baselines.paper.sweeps import SWEEPS, points
@@ -149,7 +148,7 @@ def test_every_point_of_a_sweep_is_a_run_that_can_be_made() -> None:
     for point in points():
         assert set(point.overrides) <= set(fields)
         settings = Settings(scenario=("left_turn",), method=("expert",), **point.overrides)
-        assert environment_of(method_named("planner-shared"), settings, "left_turn")["depth"] == point.overrides.get(
+        assert settings.environment("left_turn", method_named("planner-shared"))["depth"] == point.overrides.get(
             "depth", 15
         )
     assert len({point.folder for point in points()}) == sum(len(sweep.points) for sweep in SWEEPS.values())
@@ -157,7 +156,7 @@ def test_every_point_of_a_sweep_is_a_run_that_can_be_made() -> None:
 
 def test_settings_speak_bytes_degrees_and_heads() -> None:
     settings = Settings(scenario=("left_turn",), budget=64, gnss_yaw_noise=180.0, collaborators=3)
-    environment = environment_of(method_named("planner-shared"), settings, "left_turn")
+    environment = settings.environment("left_turn", method_named("planner-shared"))
     assert environment["radio"].budget == pytest.approx(64)
     assert environment["sensor"].gnss_yaw_noise == pytest.approx(np.pi)
     assert environment["ranges"] == {"collaborators": (3, 3)}

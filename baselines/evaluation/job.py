@@ -9,7 +9,7 @@ from baselines.evaluation.settings import Settings
 from baselines.methods import Method, method_named
 from baselines.references import is_reference, source_of
 from cad_env.config import RADIO_PRESETS
-from cad_env.types import Policy
+from cad_env.types import Command, Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
 CACHED = 16  # jobs that a process keeps
@@ -65,10 +65,14 @@ def _job(settings: Settings, scenario: str, name: str, _: str | None) -> Job:
         options["radio"] = RADIO_PRESETS["none"]
     if method.make_policy is not None:
         return Job(scenario, method, radio, options, method.make_policy(scenario))
+    from cad_env.scenarios import scenario_named
     from policies.model_folder import load_model  # here, because torch takes a second that the others need not wait
 
     assert method.model is not None
     model = load_model(settings.models_folder() / method.model)
+    known, asked = getattr(model.network.config, "commands", len(Command)), scenario_named(scenario).command_count
+    if known != asked:
+        raise ValueError(f"the model of {name} knows {known} commands, and {scenario} has {asked}: train one for it")
     policy = model.policy()
     if settings.threshold is not None and hasattr(policy, "threshold"):
         policy.threshold = settings.threshold

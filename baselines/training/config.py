@@ -1,8 +1,8 @@
 """From a row of the table and what a run may cost to a course, and what its folder is for."""
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +52,8 @@ def course_of(row: LearnedMethod, seed: int, budget: Budget, knobs: Mapping[str,
     from policies.training.dagger import Course
 
     radio = "none" if row.shares == "nothing" else row.radio or budget.radio
-    network = spec_named(row.spec).config_type(**{**row.config, **(knobs or {})})
+    settings = {**commands_of(row, budget.scenarios), **row.config, **(knobs or {})}
+    network = spec_named(row.spec).config_type(**settings)
     validation = budget.validation if row.most_validated is None else min(budget.validation, row.most_validated)
     return Course(
         scenarios=budget.scenarios, radio=radio, depth=row.depth, seed=seed, episodes=budget.episodes,
@@ -61,6 +62,23 @@ def course_of(row: LearnedMethod, seed: int, budget: Budget, knobs: Mapping[str,
         steps=max(round(row.pace * budget.steps), 3), validation=validation, final_validation=validation * 5 // 3,
         spec=row.spec, network=network, recipe=Recipe(**row.recipe),
     )  # fmt: skip
+
+
+def commands_of(row: LearnedMethod, scenarios: Sequence[str]) -> dict[str, int]:
+    """The setting of a network that its scenarios' commands ask for: nothing where they are the usual six.
+
+    ValueError for a network that knows no others, and for scenarios that differ.
+    """
+    from cad_env.scenarios import scenario_named
+    from cad_env.types import Command
+
+    counts = {scenario_named(name).command_count for name in scenarios}
+    if counts <= {len(Command)}:
+        return {}
+    known = {each.name for each in fields(spec_named(row.spec).config_type)}
+    if len(counts) > 1 or "commands" not in known:
+        raise ValueError(f"{row.name} cannot learn {', '.join(scenarios)}: they have {sorted(counts)} commands")
+    return {"commands": counts.pop()}
 
 
 def claim(folder: Path, course: "Course") -> None:

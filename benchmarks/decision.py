@@ -22,7 +22,7 @@ class Decisions:
 
     def __init__(self) -> None:
         self._env = gym.make("CADLeftTurn-v0", ranges=FOUR)
-        self._policy: Any = method_named("stgraph").make_policy(shipped_models("left_turn"))
+        self._policy: Any = method_named("stgraph").make_policy(shipped_models())
         observation, _ = self._env.reset(seed=0)
         self._full = {name: part.copy() for name, part in observation.items()}
         rng = np.random.default_rng(0)

@@ -190,7 +190,7 @@ def test_an_interruption_loses_no_episode_that_has_ended(
         return as_record(episode)
 
     as_record = scoring._record
-    monkeypatch.setattr(scoring, "_record", record)
+    monkeypatch.setattr(scoring, "record_of", record)
     assert run(tmp_path, *SOME) == 130
     assert len(records(tmp_path)) == 2
     monkeypatch.undo()

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import tyro
 from tqdm import tqdm
 
-from baselines.methods import method_named, shipped_models
+from baselines.evaluation.job import job_of
+from baselines.evaluation.settings import Settings as ScoringSettings
+from baselines.methods import method_named
 from cad_env.envs.parallel import CADParallelEnv
 from cad_env.scoring.fleet import FleetEpisode, fleet_scores, fleet_table, rollout_fleet
 
@@ -35,7 +37,7 @@ class Settings:
 def driven(settings: Settings, name: str) -> list[FleetEpisode]:
     """The episodes of one method."""
     method = method_named(name)
-    policy = method.make_policy(shipped_models(settings.scenario))
+    policy = job_of(ScoringSettings(), settings.scenario, name).policy
     env = CADParallelEnv(
         scenario=settings.scenario, radio="dsrc" if method.shares else "none", traffic=settings.traffic,
         ranges={"collaborators": (settings.collaborators, settings.collaborators)},

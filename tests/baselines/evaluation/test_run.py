@@ -189,7 +189,7 @@ def test_an_interruption_loses_no_episode_that_has_ended(
             raise KeyboardInterrupt
         return as_record(episode)
 
-    as_record = scoring._record
+    as_record = scoring.record_of
     monkeypatch.setattr(scoring, "record_of", record)
     assert run(tmp_path, *SOME) == 130
     assert len(records(tmp_path)) == 2

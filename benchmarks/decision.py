@@ -9,7 +9,8 @@ import numpy as np
 from stages import FOUR
 
 import cad_env
-from baselines.methods import method_named, shipped_models
+from baselines.evaluation.job import job_of
+from baselines.evaluation.settings import Settings
 
 TRACKS = 12  # of the network by itself, all of them in all 15 frames
 DECISIONS = 1000
@@ -22,7 +23,7 @@ class Decisions:
 
     def __init__(self) -> None:
         self._env = gym.make("CADLeftTurn-v0", ranges=FOUR)
-        self._policy: Any = method_named("stgraph").make_policy(shipped_models())
+        self._policy: Any = job_of(Settings(), "left_turn", "stgraph").policy
         observation, _ = self._env.reset(seed=0)
         self._full = {name: part.copy() for name, part in observation.items()}
         rng = np.random.default_rng(0)

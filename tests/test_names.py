@@ -16,6 +16,17 @@ SAME_ROLE = {
     "parallel_env": "`cad_env.parallel_env` calls the one of its module, so that `import cad_env` stays fast",
 }
 
+# Still to be renamed: this list may only become shorter.
+TO_BE_RENAMED = {
+    "ABREAST", "ACCEPTED", "ALL", "Advance", "BEYOND", "Batch", "CENTIMETRES", "COLOURS", "EGO_COLOUR", "ENDS",
+    "EPISODES", "EVERY", "Floats", "GATE", "HIGHEST", "HORIZON", "LANE", "LINE", "Layer", "METRICS",
+    "MOST_KEYPOINTS", "NOTES", "NOTHING", "Nodes", "PACKAGE", "PAPER_SIZE", "RADIO", "REACH", "REASONS",
+    "RULES", "Relation", "SHIPPED", "SIZE", "SLOW_START", "STYLE", "Scene", "Share", "Spread", "Step", "Task",
+    "UNITS", "VOXEL", "WIDTH", "claim", "difference", "drive", "exchange", "in_order", "inlined", "opened",
+    "percent", "put_together", "read", "record_of", "register", "run", "scene", "share", "show", "source_of",
+    "train", "uniform", "write",
+}  # fmt: skip
+
 
 def definitions(path: Path) -> set[str]:
     """The public names that a module defines at its top level."""
@@ -42,8 +53,8 @@ def defined_twice() -> dict[str, list[str]]:
 
 
 def test_a_public_name_means_one_thing() -> None:
-    assert {name: at for name, at in defined_twice().items() if name not in SAME_ROLE} == {}
+    assert {name: at for name, at in defined_twice().items() if name not in {*SAME_ROLE, *TO_BE_RENAMED}} == {}
 
 
 def test_every_exception_is_needed() -> None:
-    assert set(SAME_ROLE) <= set(defined_twice())
+    assert {*SAME_ROLE, *TO_BE_RENAMED} <= set(defined_twice())

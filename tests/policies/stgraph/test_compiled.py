@@ -216,7 +216,7 @@ def test_any_other_network_goes_the_dense_way(name: str) -> None:
 def test_every_knob_of_the_network_is_either_computed_or_left_to_the_dense_one() -> None:
     told = {"attn_slope", "position_scale", "hidden", "mlp_width", "head_width", "edge_attributes", "velocity"}
     left = {"heads", "layers", "fusion", "temporal_edges", "temporal", "node_time", "relu_logits", "ego_speed"}
-    assert {knob.name for knob in dataclasses.fields(StGraphConfig)} == told | left | {"class_input"}
+    assert {knob.name for knob in dataclasses.fields(StGraphConfig)} == told | left | {"class_input", "commands"}
     assert all(map(supports, FUSED.values()))
 
 

@@ -15,7 +15,7 @@ from cad_env.scenarios import scenario_named
 from cad_env.scoring.scorecard import Record
 from cad_env.types import Policy
 
-SIZE = 2.0 / 3.0  # of the size of a picture
+_SIZE = 2.0 / 3.0  # of the size of a picture
 
 
 def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, count: int) -> list[Path]:
@@ -52,7 +52,7 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
 def _environment(settings: Settings, record: Record) -> dict[str, Any]:
     """The options that a recorded episode was driven with, with a small picture."""
     options = job_of(settings, record.scenario, record.method).options
-    return {**options, "config": screen(scenario_named(record.scenario).map, SIZE)}
+    return {**options, "config": screen(scenario_named(record.scenario).map, _SIZE)}
 
 
 def _policy(settings: Settings, record: Record) -> Policy:

@@ -7,7 +7,7 @@ from typing import Any
 
 from baselines.evaluation.settings import Settings
 from baselines.methods import Method, method_named
-from baselines.references import is_reference, source_of
+from baselines.references import is_reference, module_source
 from cad_env.config import RADIO_PRESETS
 from cad_env.types import Command, Policy
 
@@ -51,7 +51,7 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
         for file in MODEL_FILES:
             known.update((folder / file).read_bytes() if (folder / file).exists() else b"")
     if is_reference(name):
-        known.update(source_of(name))
+        known.update(module_source(name))
     return known.hexdigest()[:16]
 
 

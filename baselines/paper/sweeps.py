@@ -12,7 +12,7 @@ from typing import Any
 
 COMPARED = ("stgraph", "collab-gat", "compressed")  # whose robustness is shown
 GRAPH = ("stgraph",)
-EPISODES = 200  # of each scene and method at a point, at least, in a full run
+SWEPT_EPISODES = 200  # of each scene and method at a point, at least, in a full run
 
 
 @dataclass(frozen=True)

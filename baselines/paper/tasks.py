@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from baselines.evaluation.grid import Key, shard_of
 from baselines.evaluation.settings import Settings
@@ -17,19 +18,20 @@ from baselines.folder_note import difference
 from baselines.methods import LEARNED, METHODS, method_named, radio_of
 from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.open_loop import FIRST_SEED, measure, open_path, read_open_loop, write_open_loop
-from baselines.paper.presets import ENDS, Preset
+from baselines.paper.presets import END_POINTS, Preset
 from baselines.paper.sweeps import SweepPoint, points
 from baselines.training.config import Budget, Lesson, course_of, learn
 from cad_env.scoring.scorecard import Record
 
-RADIO = "dsrc"
+if TYPE_CHECKING:
+    from policies.training.dagger import Advance
+
+USUAL_RADIO = "dsrc"
 SPARE = "ideal"  # what rows are scored over as well whose messages are too large for the other
 LARGE = ("points", "features")
 DEMONSTRATIONS, MODELS, PARTS = "demonstrations", "models", "parts"
 PPO = "ppo"  # the one learned row that is not taught by the expert
 EPISODE, DECISION = 1.6, 0.05  # work of an episode that is driven and of PPO's decision; an optimiser step is 1
-
-Advance = Callable[[float], object]
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Plan:
         """What the training of a row may cost."""
         made = self.preset
         return Budget(
-            self.scenarios, RADIO, made.episodes, made.dagger_rounds, made.steps, made.validation,
+            self.scenarios, USUAL_RADIO, made.episodes, made.dagger_rounds, made.steps, made.validation,
             made.dagger_episodes,
         )  # fmt: skip
 
@@ -55,7 +57,7 @@ class Plan:
 
     def settings(self, row: str, seed: int, out: Path, **overrides: object) -> Settings:
         """A run of evaluate.py of one method."""
-        options = {"radio": RADIO, "episodes": self.preset.scored, **overrides}
+        options = {"radio": USUAL_RADIO, "episodes": self.preset.scored, **overrides}
         return Settings(
             scenario=self.scenarios, method=(row,), out=out, report=False,
             models=(self.models(seed),) if method_named(row).model else (), **options,  # type: ignore[arg-type]
@@ -63,7 +65,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Task:
+class PaperTask:
     """A piece of work of one method and training seed."""
 
     stage: str  # of STAGES
@@ -107,35 +109,35 @@ def _work(plan: Plan, unit: tuple[str, int]) -> float:
     return sum(work_of(plan, task) for stage in (training, measuring) for task in stage(plan, unit))
 
 
-def training(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
+def training(plan: Plan, unit: tuple[str, int]) -> Iterator[PaperTask]:
     """What must be done before a method can drive."""
     if method_named(unit[0]).model:
-        yield Task("train", *unit)
+        yield PaperTask("train", *unit)
 
 
-def measuring(plan: Plan, unit: tuple[str, int]) -> Iterator[Task]:
+def measuring(plan: Plan, unit: tuple[str, int]) -> Iterator[PaperTask]:
     """What is measured of a method; sweeps are of the first training seed."""
     row, seed = unit
-    for radio in (RADIO, SPARE) if _is_large(row) else (RADIO,):
-        yield Task("closed", row, seed, radio)
+    for radio in (USUAL_RADIO, SPARE) if _is_large(row) else (USUAL_RADIO,):
+        yield PaperTask("closed", row, seed, radio)
     for scenario in plan.scenarios:
-        yield Task("open", row, seed, scenario)
+        yield PaperTask("open", row, seed, scenario)
     if seed == plan.preset.seeds[0] and plan.preset.swept:
         for point in swept(plan.preset):
             if row in point.methods:
-                yield Task("sweep", row, seed, point.folder)
+                yield PaperTask("sweep", row, seed, point.folder)
 
 
 def swept(preset: Preset) -> list[SweepPoint]:
     """The points of all sweeps that a preset asks for."""
-    return list(points(preset.sweep_points == ENDS))
+    return list(points(preset.sweep_points == END_POINTS))
 
 
 def _is_large(row: str) -> bool:
     return row in LEARNED and LEARNED[row].shares in LARGE
 
 
-def work_of(plan: Plan, task: Task) -> float:
+def work_of(plan: Plan, task: PaperTask) -> float:
     """What `perform` tells its `advance`, about."""
     if task.stage == "train":
         if task.row == PPO:
@@ -150,12 +152,12 @@ def _cost(row: str) -> float:
     return LEARNED[row].cost if row in LEARNED else 1.0
 
 
-def perform(plan: Plan, task: Task, advance: Advance) -> None:
+def perform(plan: Plan, task: PaperTask, advance: "Advance") -> None:
     """Do it, or as much of it as is still to do."""
     STAGES[task.stage](plan, task, lambda work: advance(_cost(task.row) * work))
 
 
-def _train(plan: Plan, task: Task, advance: Advance) -> None:
+def _train(plan: Plan, task: PaperTask, advance: "Advance") -> None:
     if task.row == PPO:
         learn_by_trial = import_module("policies.training.ppo").train_ppo  # here, because it brings torch
         folder = plan.models(task.seed) / PPO
@@ -165,7 +167,7 @@ def _train(plan: Plan, task: Task, advance: Advance) -> None:
     learn(lesson, course_of(LEARNED[task.row], task.seed, plan.budget()), advance)
 
 
-def answered(plan: Plan, task: Task) -> bool:
+def answered(plan: Plan, task: PaperTask) -> bool:
     """Whether the answers of a task of stage open are there; ValueError for those of another model or version."""
     from baselines.evaluation.run import digest_of
 
@@ -177,11 +179,13 @@ def answered(plan: Plan, task: Task) -> bool:
     return True
 
 
-def _asking(plan: Plan, task: Task) -> Settings:
-    return plan.settings(task.row, task.seed, plan.out, radio=radio_of(task.row, RADIO), episodes=plan.preset.open_loop)
+def _asking(plan: Plan, task: PaperTask) -> Settings:
+    return plan.settings(
+        task.row, task.seed, plan.out, radio=radio_of(task.row, USUAL_RADIO), episodes=plan.preset.open_loop
+    )
 
 
-def _open(plan: Plan, task: Task, advance: Advance) -> None:
+def _open(plan: Plan, task: PaperTask, advance: "Advance") -> None:
     from baselines.evaluation.run import digest_of
 
     if not answered(plan, task):
@@ -192,26 +196,26 @@ def _open(plan: Plan, task: Task, advance: Advance) -> None:
     advance(EPISODE * plan.preset.open_loop)
 
 
-def table_of(task: Task) -> str:
+def table_of(task: PaperTask) -> str:
     """The folder, below that of the run, in which the methods of such a task stand side by side."""
     return f"closed/{task.what}/{task.seed}" if task.stage == "closed" else task.what
 
 
-def scoring(plan: Plan, task: Task) -> Settings:
+def scoring(plan: Plan, task: PaperTask) -> Settings:
     """The run of evaluate.py that a task of stage closed or sweep is."""
     out = plan.out / PARTS / table_of(task) / task.row
     if task.stage == "closed":
         return plan.settings(task.row, task.seed, out, radio=task.what)
     point = next(point for point in swept(plan.preset) if point.folder == task.what)
-    options = {"radio": radio_of(task.row, RADIO), "episodes": plan.preset.swept, **point.overrides}
+    options = {"radio": radio_of(task.row, USUAL_RADIO), "episodes": plan.preset.swept, **point.overrides}
     return plan.settings(task.row, task.seed, out, **options)
 
 
-def _score(plan: Plan, task: Task, advance: Advance) -> None:
-    from baselines.evaluation.run import completed, opened
+def _score(plan: Plan, task: PaperTask, advance: "Advance") -> None:
+    from baselines.evaluation.run import completed, opened_store
 
     settings = scoring(plan, task)
-    store = opened(settings)
+    store = opened_store(settings)
     wanted = {key for part in settings.tasks() for key in part.episodes()}
     missing = wanted - store.records.keys()
     if known := [record for record in _driven_elsewhere(plan, task, settings) if key_of(record) in missing]:
@@ -220,7 +224,7 @@ def _score(plan: Plan, task: Task, advance: Advance) -> None:
     completed(settings, store, lambda episodes: advance(EPISODE * episodes))
 
 
-def _driven_elsewhere(plan: Plan, task: Task, settings: Settings) -> list[Record]:
+def _driven_elsewhere(plan: Plan, task: PaperTask, settings: Settings) -> list[Record]:
     """Episodes that another part has driven with the same settings: sweeps meet where they change nothing."""
     from baselines.evaluation.run import identity
 
@@ -235,6 +239,6 @@ def _driven_elsewhere(plan: Plan, task: Task, settings: Settings) -> list[Record
     return list(found.values())
 
 
-STAGES: Mapping[str, Callable[[Plan, Task, Advance], None]] = MappingProxyType(
+STAGES: Mapping[str, "Callable[[Plan, PaperTask, Advance], None]"] = MappingProxyType(
     {"train": _train, "open": _open, "closed": _score, "sweep": _score}
 )

@@ -9,13 +9,10 @@ from typing import Any
 
 from baselines.cli import Progress, parsed, refused, stopped
 from baselines.evaluation.command import scored
-from baselines.evaluation.settings import Settings
+from baselines.evaluation.settings import ALL_SCENARIOS, Settings
 from baselines.methods import learned_named, radio_of
-from baselines.training.config import Budget, Lesson, claim, course_of, learn
+from baselines.training.config import Budget, Lesson, claim_course, course_of, learn
 from cad_env.config import check_range, radio_config
-
-ALL = ("all",)
-
 
 MAIN_METHODS = ("stgraph", "stgraph-own")
 
@@ -27,7 +24,7 @@ RULES = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")
 class TrainSettings:
     """Train the paper's policy and print how often it crashes, next to who sees everything and who shares nothing."""
 
-    scenario: tuple[str, ...] = ALL  # which scenarios one network learns: names, or all
+    scenario: tuple[str, ...] = ALL_SCENARIOS  # which scenarios one network learns: names, or all
     method: tuple[str, ...] = MAIN_METHODS  # which rows of the table (baselines/methods.py)
     out: Path | None = None  # folder of models, data and scores; default: runs/all, or runs/<scenario>
     radio: str = "dsrc"  # dsrc, cv2x or ideal: what is trained and scored on; rows that need another have their own
@@ -66,7 +63,7 @@ class TrainSettings:
         """What the networks learn, in the same order however it was asked for; ValueError for what does not exist."""
         from cad_env.scenarios import SCENARIOS, SHIPPED, scenario_named
 
-        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ALL else self.scenario)]
+        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ALL_SCENARIOS else self.scenario)]
         return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
     def budget(self) -> Budget:
@@ -122,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         settings = parsed(TrainSettings, argv)
         lessons = settings.lessons()
         for lesson, course in lessons:
-            claim(lesson.folder, course)
+            claim_course(lesson.folder, course)
         scoring = settings.scoring() if settings.score else []
         train_all(settings, lessons)
     except (ValueError, OSError) as error:

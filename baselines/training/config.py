@@ -1,20 +1,18 @@
 """From a row of the table and what a run may cost to a course, and what its folder is for."""
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from baselines.folder_note import claim
 from baselines.methods import LearnedMethod, learned_named
-from cad_env.files import replace_file
 from policies.registry import spec_named
 
 if TYPE_CHECKING:
-    from policies.training.dagger import Course
+    from policies.training.dagger import Advance, Course
 
 COURSE = "course.json"  # in the folder of a row: what it was trained with
-Advance = Callable[[float], object]
 
 
 @dataclass(frozen=True)
@@ -81,36 +79,16 @@ def commands_of(row: LearnedMethod, scenarios: Sequence[str]) -> dict[str, int]:
     return {"commands": counts.pop()}
 
 
-def claim(folder: Path, course: "Course") -> None:
+def claim_course(folder: Path, course: "Course") -> None:
     """Note in the folder of a row what it is trained with; ValueError if that is not what it was begun with."""
     from cad_env.version import version
 
-    path = folder / COURSE
-    wanted = json.loads(json.dumps({**asdict(course), "version of cad_env": version()}))
-    if not path.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
-        return
-    found = _read(path)
-    for name in [*wanted, *found]:
-        if found.get(name) != wanted.get(name):
-            change = f"{name}={found.get(name)!r}, now {wanted.get(name)!r}"
-            raise ValueError(f"{folder} holds a run with {change}: use another --out or delete it")
+    claim(folder / COURSE, {**asdict(course), "version of cad_env": version()}, "use another --out or delete it")
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text())
-    except ValueError:
-        found = None
-    if not isinstance(found, dict):
-        raise ValueError(f"{path} is damaged: use another folder or delete that one")
-    return found
-
-
-def learn(lesson: Lesson, course: "Course", advance: Advance) -> None:
+def learn(lesson: Lesson, course: "Course", advance: "Advance") -> None:
     """Train the row into its folder, going on where it stopped."""
     from policies.training.dagger import train
 
-    claim(lesson.folder, course)
+    claim_course(lesson.folder, course)
     train(course, lesson.folder, advance, lesson.demonstrations)

@@ -168,8 +168,9 @@ def manner_table(rows: Sequence[ClosedRow]) -> str:
     cells = [
         [
             _bold(row.method), share_cell(row.sct), _time(row.mean_time), _time(row.calm_time),
-            percent_cell(row.needless), number(row.needless_decisions, 1), percent_cell(row.hard_brakes), number(row.min_ttc, 2),
-            number(row.bytes_per_message), number(row.largest_message), number(row.bytes_per_second / 1000, 1),
+            percent_cell(row.needless), number(row.needless_decisions, 1), percent_cell(row.hard_brakes),
+            number(row.min_ttc, 2), number(row.bytes_per_message), number(row.largest_message),
+            number(row.bytes_per_second / 1000, 1),
             NONE if row.lost is None else f"{100 * row.lost:.1f}",
         ]
         for row in rows

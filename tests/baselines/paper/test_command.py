@@ -20,7 +20,7 @@ from baselines.paper import command as reproduce
 from baselines.paper.gathering import commands, gather
 from baselines.paper.presets import PRESETS, Preset
 from baselines.paper.report import write_results
-from baselines.paper.tasks import Plan, Task, in_table, measuring, perform, scoring, training, units, work_of
+from baselines.paper.tasks import PaperTask, Plan, in_table, measuring, perform, scoring, training, units, work_of
 from baselines.workers import heard
 from cad_env.scoring.scorecard import Record
 
@@ -104,9 +104,9 @@ def test_what_is_done_is_not_done_again_and_stands_side_by_side(plan: Plan, monk
 
 def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = replace(plan, rows=("stgraph",), preset=replace(TINY, seeds=(0,)))
-    perform(plan, Task("train", "stgraph", 0), lambda work: None)
+    perform(plan, PaperTask("train", "stgraph", 0), lambda work: None)
     for what in ("dsrc", "sweeps/delay/0.5"):
-        perform(plan, Task("closed" if what == "dsrc" else "sweep", "stgraph", 0, what), lambda work: None)
+        perform(plan, PaperTask("closed" if what == "dsrc" else "sweep", "stgraph", 0, what), lambda work: None)
     driven: list[str] = []
 
     def counted(settings: Settings, task: Episodes) -> Iterator[Record]:
@@ -115,13 +115,13 @@ def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypat
 
     monkeypatch.setattr("baselines.evaluation.run.drive_task", counted)
     for what in ("sweeps/delay/0.0", "sweeps/gnss/0.0", "sweeps/budget/25000", "sweeps/depth/15"):
-        perform(plan, Task("sweep", "stgraph", 0, what), lambda work: None)
+        perform(plan, PaperTask("sweep", "stgraph", 0, what), lambda work: None)
     assert not driven
-    records = [read_records(scoring(plan, Task(*task)).out) for task in (
+    records = [read_records(scoring(plan, PaperTask(*task)).out) for task in (
         ("closed", "stgraph", 0, "dsrc"), ("sweep", "stgraph", 0, "sweeps/delay/0.0"),
     )]  # fmt: skip
     assert records[1] == records[0][: TINY.swept]
-    perform(plan, Task("sweep", "stgraph", 0, "sweeps/gnss/1.0"), lambda work: None)
+    perform(plan, PaperTask("sweep", "stgraph", 0, "sweeps/gnss/1.0"), lambda work: None)
     assert len(driven) == 1
 
 

@@ -54,7 +54,7 @@ def refused(error: Exception) -> int:
     return 2
 
 
-EVERY = 30.0  # s between two lines of progress without a terminal
+LINE_EVERY = 30.0  # s between two lines of progress without a terminal
 BAR = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
 
 
@@ -82,7 +82,7 @@ class Progress:
         self._done += done
         self._bar.update(done)
         now = time.monotonic()
-        if not self._silent and now - self._said >= EVERY:
+        if not self._silent and now - self._said >= LINE_EVERY:
             self._said = now
             print(self._line(now), file=sys.stderr, flush=True)
 
@@ -95,6 +95,6 @@ class Progress:
         """E.g. `training 42 %, about 3 min left`."""
         share = min(self._done / self._total, 1.0) if self._total else 1.0
         here = self._done - self._first
-        rest = (self._total - self._done) * (now - self._begun) / here if here > 0.0 else math.inf
+        rest = (self._total - self._done) * (now - self._begun) / here if here >= 0.01 * self._total else math.inf
         left = f", about {math.ceil(rest / 60):.0f} min left" if rest < math.inf else ""
         return f"{self._what} {100 * share:.0f} %{left}"

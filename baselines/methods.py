@@ -16,7 +16,8 @@ from typing import Any
 from baselines.references import is_reference, resolved
 from cad_env.types import BRAKE, FRAMES, GO, Policy
 
-NOTHING, SEEN, SENT, TRUTH = KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")
+KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")
+KNOWS_NOTHING, KNOWS_SEEN, KNOWS_SENT, KNOWS_TRUTH = KNOWLEDGE
 SHARED = ("nothing", "graph", "points", "features")
 
 
@@ -113,7 +114,7 @@ class Method:
     @property
     def shares(self) -> bool:
         """False: nothing is sent, whatever the radio could carry."""
-        return self.knows == SENT
+        return self.knows == KNOWS_SENT
 
     @property
     def model(self) -> str | None:
@@ -146,7 +147,7 @@ def _expert(scenario: str) -> Policy:
 
 
 def _of(learned: LearnedMethod) -> Method:
-    knows = NOTHING if learned.blind else SEEN if learned.shares == "nothing" else SENT
+    knows = KNOWS_NOTHING if learned.blind else KNOWS_SEEN if learned.shares == "nothing" else KNOWS_SENT
     return Method(learned.name, knows, learned=learned)
 
 
@@ -154,18 +155,18 @@ METHODS: Mapping[str, Method] = MappingProxyType(
     {
         method.name: method
         for method in (
-            Method("always-go", NOTHING, lambda _: Always(GO)),
-            Method("always-brake", NOTHING, lambda _: Always(BRAKE)),
-            Method("planner-own", SEEN, _planner),
-            Method("planner-shared", SENT, _planner),
-            Method("expert", TRUTH, _expert),
+            Method("always-go", KNOWS_NOTHING, lambda _: Always(GO)),
+            Method("always-brake", KNOWS_NOTHING, lambda _: Always(BRAKE)),
+            Method("planner-own", KNOWS_SEEN, _planner),
+            Method("planner-shared", KNOWS_SENT, _planner),
+            Method("expert", KNOWS_TRUTH, _expert),
             *map(_of, LEARNED.values()),
-            Method("cautious-own", SEEN, _cautious),
+            Method("cautious-own", KNOWS_SEEN, _cautious),
             _of(LearnedMethod("ppo")),  # learns by reward, not from demonstrations
         )
     }
 )
-SHIPPED = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
+SHIPPED_METHODS = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
 
 
 def method_named(name: str) -> Method:
@@ -212,7 +213,7 @@ def _outside(name: str) -> Method:
             raise ValueError(f"{name} must share one of {', '.join(SHARED)}, got {shares!r}")
         return _of(LearnedMethod(name, spec=name, shares=shares, training=training))
     policy = _checked(found, name)
-    knows = getattr(policy, "knows", TRUTH if policy.privileged else SENT)
+    knows = getattr(policy, "knows", KNOWS_TRUTH if policy.privileged else KNOWS_SENT)
     if knows not in KNOWLEDGE:
         raise ValueError(f"{name} must know one of {', '.join(KNOWLEDGE)}, got {knows!r}")
     return Method(name, knows, lambda _: _checked(resolved(name), name))

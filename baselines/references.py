@@ -42,7 +42,7 @@ def resolved(text: str) -> Any:
         raise ValueError(f"{text!r}: {error}") from None
 
 
-def source_of(text: str) -> bytes:
+def module_source(text: str) -> bytes:
     """The source of the module that a name is of: what an object from outside does may change with it."""
     path = _module(text, text.partition(":")[0]).__file__
     if path is None:

@@ -18,12 +18,12 @@ env = gym.make("cad_env:CADScenario-v0", scenario="highway_merge")
 assert env.reset(seed=1)[0]["command"].shape == (7,)'
 
 echo "-- a policy"
-PYTHONPATH="$here/own_policy" cad-evaluate --scenario left_turn --jobs 2 "${few[@]}" --out policy \
+PYTHONPATH="$here/own_policy" cad-evaluate --scenario left_turn "${few[@]}" --out policy \
   --method "my_policy:BlindBrake(seconds=1.0)" my_policy:BrakeNearJunction stgraph
 
 echo "-- a network"
 PYTHONPATH="$here/own_network" cad-train --method my_network:SPEC --scenario left_turn --episodes 8 --dagger-rounds 0 \
-  --steps 30 --validation 2 --score 4 --out network
+  --steps 30 --validation 2 --score 4 --jobs 1 --out network
 
 echo "-- what is sent, and how"
 PYTHONPATH="$here/sharing" python -c 'import my_sharing; my_sharing.main(episodes=3)'

@@ -1,9 +1,9 @@
-"""A network that is told nothing but the command: whatever it does better than a constant would have leaked.
+"""A network that reads nothing but the command: the control that every comparison of learned policies needs.
 
-Ours; the control that every comparison of learned drivers needs.
+Whatever it does better than a constant decision, the command gives away.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from cad_env.config import check_range
-from cad_env.simulation.simulation import Simulation
-from cad_env.types import COMMANDS, MOST_COMMANDS, Floats, Ints, Observation
+from cad_env.types import COMMANDS, MOST_COMMANDS, Floats
+from policies.observation_spec import ObservationSpec
 from policies.threshold_policy import ThresholdPolicy
 
 
@@ -43,43 +43,20 @@ class CommandNet(nn.Module):
                 bound = 1 / weights.shape[-1] ** 0.5
                 weights.uniform_(-bound, bound, generator=rng)
 
-    def forward(self, command: Tensor) -> Tensor:
+    def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Logits (B, 2)."""
-        logits: Tensor = self.decide(command.float())
+        logits: Tensor = self.decide(observation["command"].float())
         return logits
 
 
-@dataclass(frozen=True)
-class CommandFrames:
-    """F labelled commands."""
-
-    label: Ints  # (F,) int8 what the expert would do
-    command: Ints  # (F, C) int8
-
-    def __len__(self) -> int:
-        """F."""
-        return len(self.label)
-
-    def batch(self, frames: Ints) -> dict[str, NDArray[Any]]:
-        """The commands of some frames."""
-        return {"command": self.command[frames]}
-
-    def joined(self, others: "Sequence[CommandFrames]") -> "CommandFrames":
-        """These frames and then the others'."""
-        parts = [self, *others]
-        return CommandFrames(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("label", "command"))
-        )
-
-
-class CommandDriver(ThresholdPolicy):
+class CommandPolicy(ThresholdPolicy):
     """Brakes for the commands of which the network is sure enough; the same alone and in any batch."""
 
     def __init__(self, network: nn.Module, threshold: float) -> None:
         config: Any = network.config
         super().__init__(("command",), threshold, config.commands)
         with torch.no_grad():
-            logits = network(torch.eye(config.commands))
+            logits = network({"command": torch.eye(config.commands)})
         self._brake: Floats = torch.softmax(logits.double(), dim=1)[:, 1].numpy()  # (C,) by command
 
     def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
@@ -90,45 +67,16 @@ class CommandDriver(ThresholdPolicy):
 
 
 @dataclass(frozen=True)
-class CommandSpec:
+class CommandSpec(ObservationSpec):
     """`CommandNet` as a spec."""
-
-    name: str = "command"
-    config_type: type = CommandConfig
-    kept_as: type | None = None
 
     def build(self, config: CommandConfig, seed: int) -> nn.Module:
         """A new network."""
         return CommandNet(config, seed)
 
-    def environment(self, network: nn.Module) -> dict[str, Any]:
-        """Nothing beside what every environment has."""
-        return {}
-
-    def replayed(self, network: nn.Module) -> dict[str, Any]:
-        """The same."""
-        return self.environment(network)
-
-    def looked_with(self, config: CommandConfig) -> dict[str, Any]:
-        """None."""
-        return {}
-
-    def look(self, simulation: Simulation, observation: Observation) -> Ints:
-        """The command, (C,)."""
-        return observation["command"]
-
-    def frames(self, looks: Sequence[Ints], labels: Sequence[int]) -> CommandFrames:
-        """All commands in one record."""
-        return CommandFrames(np.array(labels, np.int8), np.array(looks, np.int8))
-
-    def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
-        """Logits (B, 2) with their gradients."""
-        logits: Tensor = network(batch["command"])
-        return logits
-
-    def policy(self, network: nn.Module, threshold: float) -> CommandDriver:
+    def policy(self, network: nn.Module, threshold: float) -> CommandPolicy:
         """The network as it is now."""
-        return CommandDriver(network, threshold)
+        return CommandPolicy(network, threshold)
 
 
-SPEC = CommandSpec()
+SPEC = CommandSpec("command", CommandConfig, lambda config: CommandNet(config, 0), ("command",))

@@ -7,7 +7,7 @@ dict of observation arrays, each a float tensor (B, ...), into logits (B, 2) of 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Ints, Observation
+from policies.spec import SpecDefaults
 from policies.threshold_policy import DenseNet, ThresholdPolicy
 
 _AT_ONCE = 256  # scenes in one pass
@@ -61,14 +62,15 @@ class ObservationPolicy(ThresholdPolicy):
 
 
 @dataclass(frozen=True)
-class ObservationSpec:
+class ObservationSpec(SpecDefaults):
     """A kind of network that reads some arrays of an observation."""
 
     name: str  # in config.json of its models
     config_type: type  # the frozen dataclass of its settings
     network: Callable[[Any], nn.Module]  # from the settings; first weights are drawn from torch's seeded generator
     keys: tuple[str, ...] = ("tracks", "mask", "command", "ego")
-    kept_as: type | None = None  # frames are replayed faster than they are worth keeping
+    shares: str = "graph"  # or nothing: what is sent to it
+    training: Mapping[str, Any] = field(default_factory=dict)  # of TrainingConfig, where it differs from the run's
 
     def build(self, config: Any, seed: int) -> nn.Module:
         """A new network; `seed` is the only source of its first weights."""
@@ -77,18 +79,6 @@ class ObservationSpec:
             network = self.network(config)
         network.config = config
         return network
-
-    def environment(self, network: nn.Module) -> dict[str, Any]:
-        """The options of the environment beside scenario, radio and depth: none."""
-        return {}
-
-    def replayed(self, network: nn.Module) -> dict[str, Any]:
-        """The options of an environment to replay in: none."""
-        return {}
-
-    def looked_with(self, config: Any) -> dict[str, Any]:
-        """The settings that `look` reads: none."""
-        return {}
 
     def look(self, simulation: Simulation, observation: Observation) -> Observation:
         """What is kept of the frame that is being decided on."""

@@ -1,4 +1,4 @@
-"""What a kind of network must be able to do, so that one course trains, keeps and drives them all.
+"""What a kind of network must be able to do, so that the same code trains, saves and drives them all.
 
 A spec is everything that differs between networks: their knobs, the environment they need, what is kept of a frame
 for them, and how a batch becomes logits. Demonstrations, DAgger, validation and model folders know only this.
@@ -45,7 +45,7 @@ class LearnedPolicy(Policy, BatchPolicy, Protocol):
 
 
 class NetworkSpec(Protocol):
-    """One kind of network."""
+    """One kind of network; `SpecDefaults` has what is trivial for most."""
 
     @property
     def name(self) -> str:
@@ -85,6 +85,24 @@ class NetworkSpec(Protocol):
 
     def policy(self, network: nn.Module, threshold: float) -> LearnedPolicy:
         """The network as it is now, as a policy that brakes when P(brake) reaches the threshold."""
+
+
+class SpecDefaults:
+    """A spec whose network reads observations as any environment shows them, and whose frames are replayed fast."""
+
+    kept_as: type | None = None
+
+    def environment(self, network: nn.Module) -> dict[str, Any]:
+        """Nothing beside scenario, radio and depth."""
+        return {}
+
+    def replayed(self, network: nn.Module) -> dict[str, Any]:
+        """The same as in `environment`."""
+        return self.environment(network)
+
+    def looked_with(self, config: Any) -> dict[str, Any]:
+        """None."""
+        return {}
 
 
 def fitting(config: Any, scenarios: Sequence[str]) -> Any:

@@ -19,7 +19,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     try:
         if any(word.split("=")[0] == "--merge" for word in words):
-            return put_together(words)
+            return _put_together(words)
         settings = parsed(Settings, words)
     except (ValueError, OSError) as error:
         return refused(error)
@@ -28,14 +28,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return scored(settings)
 
 
-def put_together(words: Sequence[str]) -> int:
+def _put_together(words: Sequence[str]) -> int:
     """Merge shards and print the table. ValueError or OSError, one line, if they cannot be merged."""
     from baselines.evaluation.store import Merging, merged  # here, so that --help is quick
 
     merging = parsed(Merging, words)
-    show(merged(merging), merging.out)
+    _show(merged(merging), merging.out)
     if merging.report:
-        report(merging.out)
+        _report(merging.out)
     return 0
 
 
@@ -45,13 +45,13 @@ def scored(settings: Settings) -> int:
     try:
         if len(settings.models) > 1:
             return scored_by_seed(settings)
-        from baselines.evaluation.run import completed, opened  # here, so that --help is quick
+        from baselines.evaluation.run import completed, opened_store  # here, so that --help is quick
 
-        store = opened(settings)
+        store = opened_store(settings)
         rows = completed(settings, store)
         if settings.shard is None:
-            show(rows, settings.folder())
-            explain(store, settings)
+            _show(rows, settings.folder())
+            _explain(store, settings)
         else:
             print(f"Shard {settings.shard} is in {settings.folder()}. Merge all shards with python evaluate.py --merge")
     except (ValueError, OSError) as error:
@@ -77,7 +77,7 @@ def scored_by_seed(settings: Settings) -> int:
     return 0
 
 
-def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
+def _show(rows: "Sequence[Scorecard]", folder: Path) -> None:
     """Print the table."""
     from cad_env.scoring.table import table
 
@@ -85,7 +85,7 @@ def show(rows: "Sequence[Scorecard]", folder: Path) -> None:
     print(f"The episodes and the scores are in {folder}.")
 
 
-def explain(store: "Store", settings: Settings) -> None:
+def _explain(store: "Store", settings: Settings) -> None:
     """Write animations of episodes and the report, as far as they are asked for."""
     if settings.gif:
         from baselines.evaluation.gifs import write_gifs  # here, because only this draws
@@ -93,10 +93,10 @@ def explain(store: "Store", settings: Settings) -> None:
 
         write_gifs(settings, store.records.values(), settings.folder() / GIFS, settings.gif)
     if settings.report:
-        report(settings.folder())
+        _report(settings.folder())
 
 
-def report(folder: Path) -> None:
+def _report(folder: Path) -> None:
     """Write the report."""
     from baselines.evaluation.report import write_report  # here, because only this needs matplotlib
 

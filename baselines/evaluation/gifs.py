@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import HAZARDS, Settings
@@ -13,9 +12,8 @@ from cad_env.rendering.danger import danger
 from cad_env.rendering.framing import screen
 from cad_env.scenarios import scenario_named
 from cad_env.scoring.scorecard import Record
-from cad_env.types import Policy
 
-SIZE = 2.0 / 3.0  # of the size of a picture
+_SIZE = 2.0 / 3.0  # of the size of a picture
 
 
 def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, count: int) -> list[Path]:
@@ -36,10 +34,9 @@ def first_of_each(records: Iterable[Record], count: int) -> list[Record]:
 
 def write_film(settings: Settings, record: Record, folder: Path) -> Path:
     """The GIF of one recorded episode."""
-    env = CADEnv(**_environment(settings, record))
-    episode, frames = filmed(
-        env, _policy(settings, record), record.seed, record.method, HAZARDS[settings.hazard], (danger,)
-    )
+    job = job_of(settings, record.scenario, record.method)
+    env = CADEnv(**job.options, config=screen(scenario_named(record.scenario).map, _SIZE))  # a small picture
+    episode, frames = filmed(env, job.policy, record.seed, record.method, HAZARDS[settings.hazard], (danger,))
     env.close()
     if episode.outcome != record.outcome:
         raise ValueError(
@@ -47,14 +44,3 @@ def write_film(settings: Settings, record: Record, folder: Path) -> Path:
             f"but was recorded as {record.outcome}: it was made with other settings, models or code"
         )
     return write_gif(frames, folder / gif_name(record))
-
-
-def _environment(settings: Settings, record: Record) -> dict[str, Any]:
-    """The options that a recorded episode was driven with, with a small picture."""
-    options = job_of(settings, record.scenario, record.method).options
-    return {**options, "config": screen(scenario_named(record.scenario).map, SIZE)}
-
-
-def _policy(settings: Settings, record: Record) -> Policy:
-    """The policy of a recorded episode."""
-    return job_of(settings, record.scenario, record.method).policy

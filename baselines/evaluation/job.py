@@ -7,9 +7,9 @@ from typing import Any
 
 from baselines.evaluation.settings import Settings
 from baselines.methods import Method, method_named
-from baselines.references import is_reference, source_of
+from baselines.references import is_reference, module_source
 from cad_env.config import RADIO_PRESETS
-from cad_env.types import Policy
+from cad_env.types import Command, Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
 CACHED = 16  # jobs that a process keeps
@@ -51,7 +51,7 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
         for file in MODEL_FILES:
             known.update((folder / file).read_bytes() if (folder / file).exists() else b"")
     if is_reference(name):
-        known.update(source_of(name))
+        known.update(module_source(name))
     return known.hexdigest()[:16]
 
 
@@ -65,10 +65,14 @@ def _job(settings: Settings, scenario: str, name: str, _: str | None) -> Job:
         options["radio"] = RADIO_PRESETS["none"]
     if method.make_policy is not None:
         return Job(scenario, method, radio, options, method.make_policy(scenario))
+    from cad_env.scenarios import scenario_named
     from policies.model_folder import load_model  # here, because torch takes a second that the others need not wait
 
     assert method.model is not None
     model = load_model(settings.models_folder() / method.model)
+    known, asked = getattr(model.network.config, "commands", len(Command)), scenario_named(scenario).command_count
+    if known != asked:
+        raise ValueError(f"the model of {name} knows {known} commands, and {scenario} has {asked}: train one for it")
     policy = model.policy()
     if settings.threshold is not None and hasattr(policy, "threshold"):
         policy.threshold = settings.threshold

@@ -8,8 +8,8 @@ from typing import TypeVar
 
 from baselines.workers import register_scenarios, registered_scenarios
 
-Task = TypeVar("Task")
-Result = TypeVar("Result")
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
 
 
 def check_ray() -> None:
@@ -18,7 +18,7 @@ def check_ray() -> None:
         raise ValueError("backend ray needs ray, which is not installed: pip install 'cad-env[ray]'")
 
 
-def on_ray(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> Generator[Result, None, None]:
+def on_ray(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) -> Generator[_Result, None, None]:
     """Yield results as they come. Ray is shut down afterwards if it was started here.
 
     Ray repeats a task whose worker has died; BrokenExecutor if that happens again and again. `jobs` is the number of
@@ -35,7 +35,7 @@ def on_ray(work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int) -> 
     try:
         scenarios = registered_scenarios()
 
-        def there(task: Task) -> Result:
+        def there(task: _Task) -> _Result:
             register_scenarios(scenarios)
             return work(task)
 

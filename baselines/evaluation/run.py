@@ -24,15 +24,15 @@ from cad_env.scoring.rollout import BatchPolicy, rollouts
 from cad_env.scoring.scorecard import Record, Scorecard, record_of, scorecards
 from cad_env.version import version
 
-ABREAST = 16  # episodes side by side, for a policy that decides in batches
+_ABREAST = 16  # episodes side by side, for a policy that decides in batches
 
 
 def score(settings: Settings) -> list[Scorecard]:
     """Score every method on every scenario and seed; resumes an earlier run with these settings."""
-    return completed(settings, opened(settings))
+    return completed(settings, opened_store(settings))
 
 
-def opened(settings: Settings) -> Store:
+def opened_store(settings: Settings) -> Store:
     """The results so far. ValueError or OSError, one line, for methods, models or a folder that cannot be used."""
     prefer_one_thread()
     for scenario in settings.scenarios():
@@ -101,10 +101,10 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
     return [task for task in rest if task.seeds]
 
 
-def drive(settings: Settings, task: Task) -> Iterator[Record]:
+def drive_task(settings: Settings, task: Task) -> Iterator[Record]:
     """The records of one method on some seeds of one scenario, as the episodes end."""
     job = job_of(settings, task.scenario, task.method)
-    side_by_side = min(ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
+    side_by_side = min(_ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
     envs = CADVectorEnv(side_by_side, **job.options)
     return map(record_of, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
 
@@ -116,7 +116,7 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
         yield from on_ray(work, tasks, settings.jobs)
     elif settings.jobs == 1 or len(tasks) <= 1:
         for task in tasks:
-            for record in drive(settings, task):
+            for record in drive_task(settings, task):
                 yield [record]
     else:
         with workers(min(settings.jobs, len(tasks))) as (pool, told):
@@ -132,7 +132,7 @@ def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], No
 def _drive_and_tell(settings: Settings, task: Task) -> list[Record]:
     """What a worker does: it sends each record as its episode ends, so that a kill loses no finished episode."""
     records = []
-    for record in drive(settings, task):
+    for record in drive_task(settings, task):
         tell(record)
         records.append(record)
     return records

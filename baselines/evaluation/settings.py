@@ -8,12 +8,12 @@ from typing import Any
 
 from baselines.evaluation.grid import Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
-from baselines.methods import SHIPPED, shipped_models
+from baselines.methods import SHIPPED_METHODS, shipped_models
 from cad_env.config import RadioConfig, SensorConfig, check_range, radio_config
 from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
-ALL = ("all",)
+ALL_SCENARIOS = ("all",)
 BACKENDS = ("processes", "ray")
 HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
 
@@ -27,8 +27,8 @@ class Settings:
     `--merge FOLDER FOLDER ... --out FOLDER`, without the options below, merges the finished shards of one run.
     """
 
-    scenario: tuple[str, ...] = ALL  # names of scenarios, in the order of the table, or all
-    method: tuple[str, ...] = SHIPPED  # names, or module:Policy of your own, in the order of the table
+    scenario: tuple[str, ...] = ALL_SCENARIOS  # names of scenarios, in the order of the table, or all
+    method: tuple[str, ...] = SHIPPED_METHODS  # names, or module:Policy of your own, in the order of the table
     models: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
     episodes: int = 500  # per scenario and method
     first_seed: int = 1_000_000  # training never uses seeds from a million on
@@ -85,7 +85,7 @@ class Settings:
         """The names of the scenarios, in the order of the table."""
         from cad_env.scenarios import SHIPPED, scenario_named  # here, for the same reason
 
-        return SHIPPED if self.scenario == ALL else tuple(scenario_named(name).name for name in self.scenario)
+        return SHIPPED if self.scenario == ALL_SCENARIOS else tuple(scenario_named(name).name for name in self.scenario)
 
     def environment(self, scenario: str) -> dict[str, Any]:
         """The options of the environment, for a method that shares all it can."""

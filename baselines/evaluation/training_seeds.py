@@ -8,7 +8,7 @@ from baselines.methods import method_named
 from cad_env.scoring.scorecard import Scorecard
 from cad_env.scoring.table import text_table
 
-RULES = "rules"  # the folder of the methods that are not trained, which are scored once
+_RULES = "rules"  # the folder of the methods that are not trained, which are scored once
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ def runs_of(settings: Settings) -> dict[str, Settings]:
     """The runs to make, by the name of their folder: one of the methods that are not trained, one for each seed."""
     learned = tuple(name for name in settings.method if method_named(name).model)
     others = tuple(name for name in settings.method if name not in learned)
-    runs = {RULES: replace(settings, method=others, models=(), out=settings.out / RULES)} if others else {}
+    runs = {_RULES: replace(settings, method=others, models=(), out=settings.out / _RULES)} if others else {}
     for folder in settings.models if learned else ():
         runs[folder.name] = replace(settings, method=learned, models=(folder,), out=settings.out / folder.name)
     return runs

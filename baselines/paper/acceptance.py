@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from baselines.paper.closed_metrics import OURS, ClosedRow
 from baselines.paper.open_metrics import OpenScore
-from baselines.paper.tables import markdown, number, percent, share, spoken
+from baselines.paper.tables import markdown, number, percent_cell, share_cell, spoken
 from cad_env.scoring.interval import Estimate
 
 SMALLER = {"compressed": 100.0, "raw-points": 1000.0}  # times, as encoded
@@ -37,12 +37,12 @@ def _driving(rows: RowsByMethod) -> Iterator[tuple[str, str, bool]]:
     ours, expert = rows.get(OURS), rows.get("expert")
     if ours is None:
         return
-    yield "collisions at most 1 %", percent(ours.collision), ours.collision.value <= 0.01
-    yield "success at least 98 %", percent(ours.success), ours.success.value >= 0.98
+    yield "collisions at most 1 %", percent_cell(ours.collision), ours.collision.value <= 0.01
+    yield "success at least 98 %", percent_cell(ours.success), ours.success.value >= 0.98
     if ours.needless is not None:
         yield (
             "needless brakes in at most 10 % of episodes without a hazard",
-            percent(ours.needless),
+            percent_cell(ours.needless),
             (ours.needless.value <= 0.1),
         )
     if expert is not None:
@@ -70,7 +70,7 @@ def _imitation(scores: Mapping[str, OpenScore]) -> Iterator[tuple[str, str, bool
     if OURS in scores:
         for name, estimate in (("AD", scores[OURS].ad), ("EAR", scores[OURS].ear)):
             if estimate is not None:
-                yield f"{name} at least 0.93", share(estimate), estimate.value >= 0.93
+                yield f"{name} at least 0.93", share_cell(estimate), estimate.value >= 0.93
 
 
 def _leak(rows: RowsByMethod) -> Iterator[tuple[str, str, bool]]:
@@ -79,7 +79,7 @@ def _leak(rows: RowsByMethod) -> Iterator[tuple[str, str, bool]]:
     if all(name in rows for name in names):
         control, *constants = (rows[name].success for name in names)
         best: Estimate = max(constants, key=lambda estimate: estimate.value)
-        said = f"{percent(control)} against {percent(best)}"
+        said = f"{percent_cell(control)} against {percent_cell(best)}"
         yield "command-only succeeds no more often than the better constant", said, control.low <= best.value
 
 

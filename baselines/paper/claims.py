@@ -4,7 +4,7 @@ it is open."""
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from baselines.paper.closed_metrics import OURS, ClosedRow, difference, success_pairs
+from baselines.paper.closed_metrics import OURS, ClosedRow, paired_difference, success_pairs
 from baselines.paper.folder import Drives
 from baselines.paper.statistics import holm, mcnemar_of_seeds
 from cad_env.scoring.interval import Estimate
@@ -49,7 +49,7 @@ def orders(rows: Sequence[ClosedRow], drives: Mapping[str, Drives]) -> list[Orde
     return [
         Order(
             by_name[better].scenario, by_name[worse].radio, better, worse,
-            (by_name[better].success, by_name[worse].success), difference(*pair), p,
+            (by_name[better].success, by_name[worse].success), paired_difference(*pair), p,
             (by_name[better].bytes_per_second, by_name[worse].bytes_per_second),
         )
         for ((better, worse), pair), p in zip(known, adjusted, strict=True)

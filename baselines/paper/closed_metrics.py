@@ -18,7 +18,7 @@ from cad_env.types import STEP, Bools, Floats
 OURS = "stgraph"
 HARD_BRAKE = 4.0  # m/s2 over 0.5 s
 CHANCE = 0  # the seed of every bootstrap: the same numbers whatever else is computed
-Spread = tuple[float, float]
+_Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class ClosedRow:
     collision: Estimate
     success: Estimate
     timeout: Estimate
-    collision_spread: Spread | None  # least and most among training seeds
-    success_spread: Spread | None
+    collision_spread: _Range | None  # least and most among training seeds
+    success_spread: _Range | None
     sct: Estimate | None  # success weighted by the expert's time; None without the expert's episodes
     mean_time: Estimate  # s until the outcome, all episodes
     calm_time: Estimate | None  # s, where there is no hazard
@@ -63,17 +63,28 @@ def closed_row(
     total, time = sum(record.bytes_total for record in records), sum(record.time for record in records)
     success, collision = (_outcomes(runs, outcome) for outcome in ("success", "collision"))
     return ClosedRow(
-        radio, scenario, method, len(runs), episodes, _rate(collision), _rate(success),
-        _rate(_outcomes(runs, "timeout")), _spread(collision), _spread(success), _sct(runs, expert),
-        _mean([[record.time for record in run] for run in runs]),
-        _mean([[record.time for record in run] for run in calm]) if calm[0] else None,
-        _rate(np.array([[record.brakes > 0 for record in run] for run in calm])) if calm[0] else None,
-        float(np.mean([[record.brakes for record in run] for run in calm])) if calm[0] else None,
-        _rate(np.array([[record.hardest_brake >= HARD_BRAKE for record in run] for run in runs])),
-        _low_ttc(records), total / sent if sent else None,
-        max(record.bytes_per_message_max or 0 for record in records) if sent else None,
-        total / time if time >= STEP else 0.0, lost_share(records),
-    )  # fmt: skip
+        radio=radio,
+        scenario=scenario,
+        method=method,
+        training_seeds=len(runs),
+        episodes=episodes,
+        collision=_rate(collision),
+        success=_rate(success),
+        timeout=_rate(_outcomes(runs, "timeout")),
+        collision_spread=_spread(collision),
+        success_spread=_spread(success),
+        sct=_sct(runs, expert),
+        mean_time=_mean([[record.time for record in run] for run in runs]),
+        calm_time=_mean([[record.time for record in run] for run in calm]) if calm[0] else None,
+        needless=_rate(np.array([[record.brakes > 0 for record in run] for run in calm])) if calm[0] else None,
+        needless_decisions=float(np.mean([[record.brakes for record in run] for run in calm])) if calm[0] else None,
+        hard_brakes=_rate(np.array([[record.hardest_brake >= HARD_BRAKE for record in run] for run in runs])),
+        min_ttc=_low_ttc(records),
+        bytes_per_message=total / sent if sent else None,
+        largest_message=max(record.bytes_per_message_max or 0 for record in records) if sent else None,
+        bytes_per_second=total / time if time >= STEP else 0.0,
+        lost=lost_share(records),
+    )
 
 
 def compared(rows: Sequence[ClosedRow], reference: Drives, drives: Mapping[str, Drives]) -> list[ClosedRow]:
@@ -83,7 +94,7 @@ def compared(rows: Sequence[ClosedRow], reference: Drives, drives: Mapping[str, 
     for row in others:
         ours, theirs = success_pairs(reference, drives[row.method])
         if ours.size:
-            found[row.method] = difference(ours, theirs), mcnemar_of_seeds(ours, theirs)
+            found[row.method] = paired_difference(ours, theirs), mcnemar_of_seeds(ours, theirs)
     adjusted = dict(zip(found, holm([test.p for _, test in found.values()]), strict=True))
     return [
         replace(row, advantage=found[name][0], test=found[name][1], adjusted_p=adjusted[name])
@@ -93,7 +104,7 @@ def compared(rows: Sequence[ClosedRow], reference: Drives, drives: Mapping[str, 
     ]
 
 
-def difference(first: Bools, second: Bools) -> Estimate:
+def paired_difference(first: Bools, second: Bools) -> Estimate:
     """How much oftener the first succeeds, of (S, E) and (R, E)."""
     return difference_estimate(first.astype(float), second.astype(float), np.random.default_rng(CHANCE))
 
@@ -137,7 +148,7 @@ def _rate(happened: Bools) -> Estimate:
     return wilson_estimate(float(happened.mean()), happened.shape[1])
 
 
-def _spread(happened: Bools) -> Spread | None:
+def _spread(happened: Bools) -> _Range | None:
     rates = happened.mean(axis=1)
     return (float(rates.min()), float(rates.max())) if len(rates) > 1 else None
 

@@ -51,9 +51,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         plan = plan_of(settings)
         note = {**asdict(plan.preset), "version of cad_env": version()}
         claim(plan.out / NOTE, note, "use another --out or delete it")
-        failures = [] if settings.merge else run(plan, settings.jobs, settings.shard)
+        failures = [] if settings.merge else _run(plan, settings.jobs, settings.shard)
         if settings.shard is None:
-            put_together(plan, settings.command())
+            _put_together(plan, settings.command())
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
@@ -75,7 +75,7 @@ def plan_of(settings: ReproduceSettings) -> Any:
     return Plan(settings.out, PRESETS[settings.preset], SHIPPED, rows)
 
 
-def run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
+def _run(plan: Any, jobs: int, shard: str | None) -> list[Failure]:
     """Record, then train and measure one training seed after the other, then sweep; with one progress bar.
 
     Returns what failed. After every stage failures are printed, and written to a file with their tracebacks, so that
@@ -171,11 +171,11 @@ def _attempt(act: Callable[[], object]) -> str:
     return ""
 
 
-def put_together(plan: Any, command: str) -> None:
+def _put_together(plan: Any, command: str) -> None:
     """Write tables and plots of all that is finished."""
     from baselines.paper.gathering import gather
-    from baselines.paper.report import write
+    from baselines.paper.report import write_results
 
     if lacking := gather(plan):
         print(f"{lacking} parts are not finished: the tables are without them", file=sys.stderr)
-    print(f"The tables and plots: {write(plan.out, command)}")
+    print(f"The tables and plots: {write_results(plan.out, command)}")

@@ -73,7 +73,7 @@ def _closed(radio: Path) -> dict[str, dict[str, dict[int, dict[int, Record]]]]:
         for record in records:
             drives = found.setdefault(record.scenario, {}).setdefault(record.method, {})
             drives.setdefault(training_seed, {})[record.seed] = record
-    return {scenario: in_order(methods) for scenario, methods in found.items()}
+    return {scenario: in_table_order(methods) for scenario, methods in found.items()}
 
 
 def _open(folder: Path) -> dict[str, dict[str, dict[int, OpenLoop]]]:
@@ -82,7 +82,7 @@ def _open(folder: Path) -> dict[str, dict[str, dict[int, OpenLoop]]]:
         for path in sorted(part.glob("*.json")):
             loop = read_open_loop(path)
             found.setdefault(loop.scenario, {}).setdefault(loop.method, {})[int(part.name)] = loop
-    return {scenario: in_order(methods) for scenario, methods in found.items()}
+    return {scenario: in_table_order(methods) for scenario, methods in found.items()}
 
 
 def _sweep(folder: Path, name: str) -> dict[str, dict[str, dict[str, dict[int, Record]]]]:
@@ -95,7 +95,7 @@ def _sweep(folder: Path, name: str) -> dict[str, dict[str, dict[str, dict[int, R
     return values
 
 
-def in_order(methods: Mapping[str, Any]) -> dict[str, Any]:
+def in_table_order(methods: Mapping[str, Any]) -> dict[str, Any]:
     """By method, in the order of the tables; methods that are not in them come last."""
     places = {name: place for place, name in enumerate(TABLE_ORDER)}
     return {name: methods[name] for name in sorted(methods, key=lambda name: (places.get(name, 99), name))}

@@ -19,7 +19,7 @@ from baselines.evaluation.store import (
     read_settings,
 )
 from baselines.folder_note import difference
-from baselines.methods import SHIPPED
+from baselines.methods import SHIPPED_METHODS
 from baselines.paper.tasks import PaperTask, Plan, answered, every_unit, measuring, scoring, table_of
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import scorecards
@@ -63,7 +63,7 @@ def commands(parts: Sequence[Settings]) -> str:
     models = next((part.models for part in parts if part.models), ())  # of one training seed; rules do not look at it
     groups: dict[Settings, list[str]] = {}
     for part in parts:
-        alike = replace(part, method=SHIPPED, models=models, out=parts[0].out)
+        alike = replace(part, method=SHIPPED_METHODS, models=models, out=parts[0].out)
         groups.setdefault(alike, []).append(part.method[0])
     return "\n".join(replace(alike, method=tuple(names)).command() for alike, names in groups.items())
 

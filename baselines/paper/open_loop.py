@@ -25,7 +25,7 @@ from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, Floats, Ints, Observation, Policy
 
 FIRST_SEED = 800_000  # validation begins at 900,000 and scoring at a million
-ABREAST = 8  # episodes side by side, and how many an answer is asked for at once
+_ABREAST = 8  # episodes side by side, and how many an answer is asked for at once
 AT_ONCE = 256  # frames that a policy is asked in one go
 
 
@@ -79,10 +79,10 @@ class OpenLoop:
 def measure(method: Method, settings: Settings, scenario: str, seeds: Sequence[int]) -> OpenLoop:
     """Ask a method in the expert's episodes of these seeds. ValueError for models that are not there."""
     job = job_of(settings, scenario, method.name)
-    envs = CADVectorEnv(min(ABREAST, len(seeds)), **job.options)
+    envs = CADVectorEnv(min(_ABREAST, len(seeds)), **job.options)
     found: list[OpenEpisode] = []
-    for start in range(0, len(seeds), ABREAST):  # so many episodes of observations are held at a time
-        found += _asked(job.policy, envs, seeds[start : start + ABREAST], HAZARDS[settings.hazard])
+    for start in range(0, len(seeds), _ABREAST):  # so many episodes of observations are held at a time
+        found += _asked(job.policy, envs, seeds[start : start + _ABREAST], HAZARDS[settings.hazard])
     return OpenLoop(scenario, method.name, job.radio, tuple(found))
 
 

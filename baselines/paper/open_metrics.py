@@ -12,7 +12,7 @@ from cad_env.scoring.interval import Estimate
 from cad_env.types import Bools, Floats, Ints
 
 AP_DRAWS = 200  # of the average precision, which runs through all frames in every one
-METRICS = ("ad", "ear", "precision", "f1", "false_brake_rate")
+_METRICS = ("ad", "ear", "precision", "f1", "false_brake_rate")
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,13 @@ def open_score(runs: Mapping[int, OpenLoop], rng: np.random.Generator) -> OpenSc
     kept = _common(whole)
     counts = np.array([[episode.counts() for episode in run] for run in kept], float)  # (S, E, 4)
     drawn = ratios(resampled_sums(counts, rng, DRAWS))
-    found = dict(zip(METRICS, percentile_estimates(ratios(counts.sum((0, 1))), drawn), strict=True))
+    found = dict(zip(_METRICS, percentile_estimates(ratios(counts.sum((0, 1))), drawn), strict=True))
     by_seed = ratios(counts.sum(1))
     frames = int(counts[0].sum())
     messages = sum(episode.messages for run in kept for episode in run)
     return OpenScore(
-        whole[0].scenario, whole[0].method, whole[0].radio, len(kept), len(kept[0]), frames,
-        float(counts[0, :, (0, 2)].sum() / frames), **found,
+        scenario=whole[0].scenario, method=whole[0].method, radio=whole[0].radio, training_seeds=len(kept),
+        episodes=len(kept[0]), frames=frames, brake_share=float(counts[0, :, (0, 2)].sum() / frames), **found,
         average_precision=_average_precision(kept, rng), ad_spread=_spread(by_seed[:, 0]),
         ear_spread=_spread(by_seed[:, 1]),
         bytes_per_message=sum(episode.bytes for run in kept for episode in run) / messages if messages else None,
@@ -59,7 +59,7 @@ def open_score(runs: Mapping[int, OpenLoop], rng: np.random.Generator) -> OpenSc
 
 
 def ratios(counts: Floats) -> Floats:
-    """(..., 5) METRICS of (..., 4) frames: true brake, false brake, false go, true go. NaN where there is none.
+    """(..., 5) _METRICS of (..., 4) frames: true brake, false brake, false go, true go. NaN where there is none.
 
     >>> ratios(np.array([6.0, 2.0, 3.0, 9.0])).round(3).tolist()
     [0.667, 0.75, 0.75, 0.706, 0.182]

@@ -8,7 +8,7 @@ from baselines.paper.closed_metrics import ClosedRow
 from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import spoken
-from baselines.plot_style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, styled
+from baselines.plot_style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILION, styled
 from cad_env.scoring.interval import Estimate
 
 if TYPE_CHECKING:
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SweepRows = Mapping[str, Mapping[str, ClosedRow]]  # value -> method
-COLOURS = {
-    "rules": BLACK, "constant": GREY, "own": VERMILION, "graph": BLUE, "points": GREEN, "features": PURPLE,
+_COLOURS = {
+    "rules": INK, "constant": GREY, "own": VERMILION, "graph": BLUE, "points": GREEN, "features": PURPLE,
     "truth": ORANGE,
 }  # fmt: skip
 LOOKS = {  # row -> (what it shares, its shape)
@@ -75,8 +75,8 @@ def _points(axis: "Axes", rows: Sequence[ClosedRow], what: str, zone: float, rad
         place = row.bytes_per_second or zone * 10 ** (-0.95 + 0.9 * (silent.index(row.method) + 0.5) / len(silent))
         kind, shape = LOOKS.get(row.method, ("constant", "."))
         axis.errorbar(
-            place, 100 * estimate.value, yerr=_arms(estimate), marker=shape, linestyle="none", color=COLOURS[kind],
-            markerfacecolor="white" if radio else COLOURS[kind], label=None if radio else row.method,
+            place, 100 * estimate.value, yerr=_arms(estimate), marker=shape, linestyle="none", color=_COLOURS[kind],
+            markerfacecolor="white" if radio else _COLOURS[kind], label=None if radio else row.method,
             elinewidth=1.0, clip_on=False, zorder=3, markersize=9 if row.method == "stgraph" else 7,
         )  # fmt: skip
 

@@ -49,7 +49,7 @@ SIMULATORS = (
     "The paper's numbers are from CARLA with AutoCast, a camera pipeline and 12 test trials, without intervals; ours "
     "are from this project's scenes. Only orders and ratios compare, never a number with the number beside it."
 )
-UNITS = (
+PAPER_UNITS = (
     "The paper calls kilobits kilobytes: 2 Mbit/s for 0.1 s, one slot of DSRC, are 200 kbit = 25 kB (25,000 bytes), "
     'not its "200 KB". The package sizes of its baselines look alike (510 kbit are the 64 kB of 128 points with 128 '
     "float32 features each), so its ratio of 104 may mix units; ours are bytes as encoded."

@@ -44,7 +44,7 @@ class Findings:
     bars: list[Bar]
 
 
-def write(folder: Path, command: str = "") -> Path:
+def write_results(folder: Path, command: str = "") -> Path:
     """Write the report of a run into its folder; gives the path of results.md. `command`: what makes the whole run.
 
     Parts that are not there are left out, with a line that says so. ValueError, one line, for a damaged file.
@@ -130,7 +130,7 @@ def _missing(what: str) -> str:
 
 
 def _beside(findings: Findings) -> str:
-    lines = ["## The paper's tables beside ours", published.SIMULATORS, published.UNITS]
+    lines = ["## The paper's tables beside ours", published.SIMULATORS, published.PAPER_UNITS]
     if not findings.open:
         return "\n\n".join([*lines, _missing("open-loop measurement")])
     lines += ["### Table II", tables.beside_table(published.TABLE_2, findings.open, packages=True)]

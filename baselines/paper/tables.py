@@ -32,9 +32,9 @@ def spoken(scene: str) -> str:
     return scene.replace("_", " ").capitalize()
 
 
-def percent(estimate: Estimate | None) -> str:
+def percent_cell(estimate: Estimate | None) -> str:
     """
-    >>> percent(Estimate(0.1, 0.0767, 0.1293))
+    >>> percent_cell(Estimate(0.1, 0.0767, 0.1293))
     '10.0 [7.7, 12.9]'
     """
     if estimate is None:
@@ -42,7 +42,7 @@ def percent(estimate: Estimate | None) -> str:
     return f"{100 * estimate.value:.1f} [{100 * estimate.low:.1f}, {100 * estimate.high:.1f}]"
 
 
-def share(estimate: Estimate | None) -> str:
+def share_cell(estimate: Estimate | None) -> str:
     """As the paper prints its scores, from 0 to 1."""
     return NONE if estimate is None else f"{estimate.value:.3f} [{estimate.low:.3f}, {estimate.high:.3f}]"
 
@@ -72,7 +72,7 @@ def beside_table(published: Sequence[Published], scores: Scores, packages: bool)
         cells = [row.title, row.method, *([row.package, _packages(ours)] if packages else [])]
         for scene, score in zip(SCENES, ours, strict=True):
             for paper, found in zip(row.of(scene), (score.ad, score.ear) if score else (None, None), strict=True):
-                cells.append(f"{paper:.4f} / {share(found)}")
+                cells.append(f"{paper:.4f} / {share_cell(found)}")
         rows.append(cells)
     return markdown(head, rows)
 
@@ -122,7 +122,7 @@ def open_table(scores: Mapping[str, OpenScore]) -> str:
     )  # fmt: skip
     rows = [
         [
-            name, score.radio, str(score.training_seeds), *(share(getattr(score, what)) for what in
+            name, score.radio, str(score.training_seeds), *(share_cell(getattr(score, what)) for what in
                     ("ad", "ear", "precision", "f1", "false_brake_rate", "average_precision")),
             _spread(score.ad_spread, 1, 3), _spread(score.ear_spread, 1, 3), number(score.bytes_per_message),
             number(score.largest_message),
@@ -135,7 +135,7 @@ def open_table(scores: Mapping[str, OpenScore]) -> str:
 def threshold_table(scores: Mapping[str, OpenScore]) -> str:
     """One method in a scene in open loop, by the threshold from which it brakes."""
     what = ("ad", "ear", "precision", "f1", "false_brake_rate")
-    rows = [[limit, *(share(getattr(score, name)) for name in what)] for limit, score in scores.items()]
+    rows = [[limit, *(share_cell(getattr(score, name)) for name in what)] for limit, score in scores.items()]
     return markdown(("threshold", "AD (recall)", "EAR (accuracy)", "precision", "F1", "false brakes"), rows)
 
 
@@ -148,9 +148,9 @@ def outcome_table(rows: Sequence[ClosedRow]) -> str:
     )  # fmt: skip
     cells = [
         [
-            _bold(row.method), str(row.training_seeds), str(row.episodes), percent(row.collision),
-            percent(row.success), percent(row.timeout), _spread(row.collision_spread, 100, 1),
-            _spread(row.success_spread, 100, 1), percent(row.advantage),
+            _bold(row.method), str(row.training_seeds), str(row.episodes), percent_cell(row.collision),
+            percent_cell(row.success), percent_cell(row.timeout), _spread(row.collision_spread, 100, 1),
+            _spread(row.success_spread, 100, 1), percent_cell(row.advantage),
             NONE if row.test is None else f"{row.test.first_only} / {row.test.second_only}", small(row.adjusted_p),
         ]
         for row in rows
@@ -167,9 +167,10 @@ def manner_table(rows: Sequence[ClosedRow]) -> str:
     )  # fmt: skip
     cells = [
         [
-            _bold(row.method), share(row.sct), _time(row.mean_time), _time(row.calm_time), percent(row.needless),
-            number(row.needless_decisions, 1), percent(row.hard_brakes), number(row.min_ttc, 2),
-            number(row.bytes_per_message), number(row.largest_message), number(row.bytes_per_second / 1000, 1),
+            _bold(row.method), share_cell(row.sct), _time(row.mean_time), _time(row.calm_time),
+            percent_cell(row.needless), number(row.needless_decisions, 1), percent_cell(row.hard_brakes),
+            number(row.min_ttc, 2), number(row.bytes_per_message), number(row.largest_message),
+            number(row.bytes_per_second / 1000, 1),
             NONE if row.lost is None else f"{100 * row.lost:.1f}",
         ]
         for row in rows
@@ -186,7 +187,7 @@ def order_table(orders: Sequence[Order]) -> str:
     cells = [
         [
             spoken(order.scenario), order.radio, f"{order.better} over {order.worse}",
-            " / ".join(map(percent, order.success)), percent(order.advantage), small(order.adjusted_p),
+            " / ".join(map(percent_cell, order.success)), percent_cell(order.advantage), small(order.adjusted_p),
             " / ".join(f"{rate / 1000:.1f}" for rate in order.bytes_per_second), order.verdict,
         ]
         for order in orders
@@ -203,7 +204,7 @@ def sweep_table(values: Mapping[str, Mapping[str, ClosedRow]], name: str) -> str
     for value, rows in values.items():
         there = [rows.get(who) for who in methods]
         line = [value, str(max(row.episodes for row in rows.values()))]
-        line += [percent(getattr(row, what, None)) for row in there for what in ("success", "collision")]
+        line += [percent_cell(getattr(row, what, None)) for row in there for what in ("success", "collision")]
         line += [
             NONE if row is None else f"{number(row.bytes_per_message)}, {number(row.bytes_per_second / 1000, 1)}"
             for row in there

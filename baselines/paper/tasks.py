@@ -23,7 +23,7 @@ from baselines.training.config import TrainingTask, perform_training, training_c
 from cad_env.scoring.scorecard import Record
 from policies.training.config import Advance
 
-MAIN_RADIO = "dsrc"
+USUAL_RADIO = "dsrc"
 SPARE = "ideal"  # what rows are scored over as well whose messages are too large for the other
 LARGE = ("points", "features")
 DEMONSTRATIONS, MODELS, PARTS = "demonstrations", "models", "parts"
@@ -43,7 +43,7 @@ class Plan:
     def training(self, method: str, seed: int) -> TrainingTask:
         """How a method is trained from the expert."""
         learned = LEARNED[method]
-        overrides = {"scenarios": self.scenarios, "radio": MAIN_RADIO, "seed": seed, **self.preset.training}
+        overrides = {"scenarios": self.scenarios, "radio": USUAL_RADIO, "seed": seed, **self.preset.training}
         config = training_config(learned, overrides)
         return TrainingTask(method, config, self.models(seed) / learned.model, self.out / DEMONSTRATIONS)
 
@@ -53,7 +53,7 @@ class Plan:
 
     def settings(self, row: str, seed: int, out: Path, **overrides: object) -> Settings:
         """A run of evaluate.py of one method."""
-        options = {"radio": MAIN_RADIO, "episodes": self.preset.scored, **overrides}
+        options = {"radio": USUAL_RADIO, "episodes": self.preset.scored, **overrides}
         return Settings(
             scenario=self.scenarios, method=(row,), out=out, report=False,
             models=(self.models(seed),) if method_named(row).model else (), **options,  # type: ignore[arg-type]
@@ -114,7 +114,7 @@ def training(plan: Plan, unit: tuple[str, int]) -> Iterator[PaperTask]:
 def measuring(plan: Plan, unit: tuple[str, int]) -> Iterator[PaperTask]:
     """What is measured of a method; sweeps are of the first training seed."""
     row, seed = unit
-    for radio in (MAIN_RADIO, SPARE) if _is_large(row) else (MAIN_RADIO,):
+    for radio in (USUAL_RADIO, SPARE) if _is_large(row) else (USUAL_RADIO,):
         yield PaperTask("closed", row, seed, radio)
     for scenario in plan.scenarios:
         yield PaperTask("open", row, seed, scenario)
@@ -176,7 +176,7 @@ def answered(plan: Plan, task: PaperTask) -> bool:
 
 def _asking(plan: Plan, task: PaperTask) -> Settings:
     return plan.settings(
-        task.row, task.seed, plan.out, radio=radio_of(task.row, MAIN_RADIO), episodes=plan.preset.open_loop
+        task.row, task.seed, plan.out, radio=radio_of(task.row, USUAL_RADIO), episodes=plan.preset.open_loop
     )
 
 
@@ -202,15 +202,15 @@ def scoring(plan: Plan, task: PaperTask) -> Settings:
     if task.stage == "closed":
         return plan.settings(task.row, task.seed, out, radio=task.what)
     point = next(point for point in swept(plan.preset) if point.folder == task.what)
-    options = {"radio": radio_of(task.row, MAIN_RADIO), "episodes": plan.preset.swept, **point.overrides}
+    options = {"radio": radio_of(task.row, USUAL_RADIO), "episodes": plan.preset.swept, **point.overrides}
     return plan.settings(task.row, task.seed, out, **options)
 
 
 def _score(plan: Plan, task: PaperTask, advance: Advance) -> None:
-    from baselines.evaluation.run import completed, opened
+    from baselines.evaluation.run import completed, opened_store
 
     settings = scoring(plan, task)
-    store = opened(settings)
+    store = opened_store(settings)
     wanted = {key for part in settings.tasks() for key in part.episodes()}
     missing = wanted - store.records.keys()
     if known := [record for record in _driven_elsewhere(plan, task, settings) if key_of(record) in missing]:

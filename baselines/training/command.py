@@ -9,7 +9,7 @@ from typing import Any
 
 from baselines.cli import Progress, parsed, refused, stopped
 from baselines.evaluation.command import scored
-from baselines.evaluation.settings import Settings
+from baselines.evaluation.settings import ALL_SCENARIOS, Settings
 from baselines.methods import folder_of, learned_named, radio_of
 from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
 from cad_env.config import check_range, radio_config
@@ -27,7 +27,7 @@ class TrainSettings:
     A network of your own is named as module:SPEC (docs/write-your-own.md).
     """
 
-    scenario: tuple[str, ...] = ("all",)  # which scenarios one network learns: names, or all
+    scenario: tuple[str, ...] = ALL_SCENARIOS  # which scenarios one network learns: names, or all
     method: tuple[str, ...] = MAIN_METHODS  # which methods (baselines/methods.py), or module:SPEC of your own network
     out: Path | None = None  # folder of models, demonstrations and scores; default: runs/all, or runs/<scenario>
     radio: str = TrainingConfig.radio  # dsrc, cv2x or ideal; methods with larger messages have their own
@@ -67,7 +67,7 @@ class TrainSettings:
         """What the networks learn, in the same order however it was asked for; ValueError for what does not exist."""
         from cad_env.scenarios import SCENARIOS, SHIPPED, scenario_named
 
-        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ("all",) else self.scenario)]
+        chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ALL_SCENARIOS else self.scenario)]
         return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
     def tasks(self) -> list[TrainingTask]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from baselines.folder_note import claim
 from baselines.methods import LearnedMethod, learned_named
-from baselines.references import is_reference, source_of
+from baselines.references import is_reference, module_source
 from policies.registry import spec_named
 from policies.training.config import Advance, TrainingConfig
 
@@ -57,7 +57,7 @@ def claim_folder(task: TrainingTask) -> None:
 
     sources = {what: digest for name in task.config.scenarios for what, digest in outside_sources(name).items()}
     if is_reference(task.method):
-        sources[f"source of {task.method}"] = hashlib.sha256(source_of(task.method)).hexdigest()[:16]
+        sources[f"source of {task.method}"] = hashlib.sha256(module_source(task.method)).hexdigest()[:16]
     wanted = {**asdict(task.config), "version of cad_env": version(), **sources}
     claim(task.folder / NOTE_OF_TRAINING, wanted, "use another --out or delete it")
 

@@ -20,6 +20,7 @@ from cad_env.simulation.simulation import Simulation
 from cad_env.types import COMMANDS, MOST_COMMANDS, Ints, Observation
 from policies.points.frames import CloudFrames, Seen, record_of, seen
 from policies.points.layers import Backbone, check_sizes, cloud_of, decision, in_order, mean, most
+from policies.spec import SpecDefaults
 from policies.threshold_policy import PointsPolicy
 
 _SIZES = {"merged": 65_536, "neighbours": 64, "width": 256, "levels": 5, "mlp_width": 1024,
@@ -84,7 +85,7 @@ class MergedFrames(CloudFrames):
 
 
 @dataclass(frozen=True)
-class PointTransformerSpec:
+class PointTransformerSpec(SpecDefaults):
     """The Point Transformer on what the environment merges from raw points.
 
     A frame keeps that merged cloud as it was observed, so training sees what driving does, whatever the radio: where
@@ -103,10 +104,6 @@ class PointTransformerSpec:
         """Raw points, merged to as many as the network reads."""
         assert isinstance(network, PointTransformerNet)
         return {"cloud": CloudConfig(codec=RawPoints(), merged=network.config.merged)}
-
-    def replayed(self, network: nn.Module) -> dict[str, Any]:
-        """The same: what is looked at is what is merged."""
-        return self.environment(network)
 
     def looked_with(self, config: PointTransformerConfig) -> dict[str, Any]:
         """How many points are merged."""

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import FRAMES, OBSERVED_TRACKS, Floats, Ints, Observation
+from policies.spec import SpecDefaults
 from policies.stgraph.compiled.module import fused_logits
 from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.stgraph.policy import StGraphPolicy
@@ -70,7 +71,7 @@ class GraphFrames:
 
 
 @dataclass(frozen=True)
-class Nodes:
+class SeenGraph:
     """What is kept of one observation."""
 
     slot: Ints  # (n,) uint8
@@ -81,37 +82,24 @@ class Nodes:
 
 
 @dataclass(frozen=True)
-class StGraphSpec:
+class StGraphSpec(SpecDefaults):
     """`policies.stgraph.network`, which reads the observation as it is."""
 
     name: str = "stgraph"
     config_type: type = StGraphConfig
-    kept_as: type | None = None  # replayed faster than they are worth keeping
 
     def build(self, config: StGraphConfig, seed: int) -> nn.Module:
         """A new network."""
         return StGraphNet(config, seed)
 
-    def environment(self, network: nn.Module) -> dict[str, Any]:
-        """Nothing beside what every environment has."""
-        return {}
-
-    def replayed(self, network: nn.Module) -> dict[str, Any]:
-        """The same."""
-        return self.environment(network)
-
-    def looked_with(self, config: StGraphConfig) -> dict[str, Any]:
-        """None."""
-        return {}
-
-    def look(self, simulation: Simulation, observation: Observation) -> Nodes:
+    def look(self, simulation: Simulation, observation: Observation) -> SeenGraph:
         """The nodes of the observed graph."""
         slot = np.flatnonzero(observation["mask"].reshape(-1))
         position = observation["tracks"].reshape(-1, 3)[slot]
         rounded = np.rint(position / CENTIMETRE).astype(np.int16)
-        return Nodes(slot.astype(np.uint8), rounded, *(observation[name] for name in ("command", "ego", "kind")))
+        return SeenGraph(slot.astype(np.uint8), rounded, *(observation[name] for name in ("command", "ego", "kind")))
 
-    def frames(self, looks: Sequence[Nodes], labels: Sequence[int]) -> GraphFrames:
+    def frames(self, looks: Sequence[SeenGraph], labels: Sequence[int]) -> GraphFrames:
         """All graphs in one record."""
         return GraphFrames(
             label=np.array(labels, np.int8),

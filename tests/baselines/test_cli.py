@@ -40,7 +40,7 @@ def test_what_was_done_before_says_nothing_of_the_pace(
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     with Progress(100, "record", done=80) as progress:
         progress.describe("scoring")
-        now[0] = cli.EVERY
+        now[0] = cli.LINE_EVERY
         progress.update(10)
     assert capsys.readouterr().err == "scoring 90 %, about 1 min left\n"
 

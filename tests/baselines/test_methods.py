@@ -8,7 +8,7 @@ import pytest
 
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
-from baselines.methods import METHODS, SHIPPED, Always, method_named, shipped_models
+from baselines.methods import METHODS, SHIPPED_METHODS, Always, method_named, shipped_models
 from cad_env.envs.single import CADEnv
 from cad_env.scoring.rollout import BatchPolicy, rollout
 from cad_env.types import BRAKE, GO, Policy
@@ -30,16 +30,16 @@ def models(tmp_path: Path) -> Path:
 
 
 def test_the_table_has_its_rows_by_their_own_names() -> None:
-    assert tuple(METHODS)[: len(SHIPPED)] == SHIPPED
+    assert tuple(METHODS)[: len(SHIPPED_METHODS)] == SHIPPED_METHODS
     assert all(method_named(name).name == name for name in METHODS)
 
 
 def test_of_those_that_ship_only_two_are_sent_anything() -> None:
-    assert [name for name in SHIPPED if method_named(name).shares] == ["planner-shared", "stgraph"]
+    assert [name for name in SHIPPED_METHODS if method_named(name).shares] == ["planner-shared", "stgraph"]
 
 
 def test_only_the_expert_sees_the_truth(models: Path) -> None:
-    assert [name for name in SHIPPED if policy_of(name, models).privileged] == ["expert"]
+    assert [name for name in SHIPPED_METHODS if policy_of(name, models).privileged] == ["expert"]
 
 
 def test_an_unknown_method_is_refused_with_the_choices() -> None:

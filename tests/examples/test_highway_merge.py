@@ -19,6 +19,7 @@ from scenes import Steady, forget, started
 
 import cad_env
 import evaluate
+from baselines.training import command as train_command
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.rendering import layers
@@ -426,3 +427,14 @@ def test_another_scenario_of_its_name_is_refused():
         cad_env.register(replace(HIGHWAY_MERGE, gym_id="CADOther-v0"))
     with pytest.raises(ValueError, match="has command 6, but there are 6"):
         replace(HIGHWAY_MERGE, commands=())
+
+
+def test_the_command_trains_networks_that_know_its_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["--scenario", NAME, "--score", "0", "--out", str(tmp_path)]
+    lessons = train_command.TrainSettings(scenario=(NAME,), out=tmp_path).lessons()
+    assert {config.network.commands for _, config in lessons} == {7}
+    assert train_command.main([*words, "--method", "raw-points"]) == 2
+    assert "raw-points cannot learn highway_merge: they have [7] commands" in capsys.readouterr().err
+    models = ["--scenario", NAME, "--method", "stgraph", "--episodes", "1", "--out", str(tmp_path / "scores")]
+    assert evaluate.main([*models, "--no-report"]) == 2
+    assert "knows 6 commands, and highway_merge has 7" in capsys.readouterr().err

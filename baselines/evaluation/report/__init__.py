@@ -8,7 +8,7 @@ from baselines.evaluation.report.figures import knowledge_of
 from baselines.evaluation.report.page import html_page
 from baselines.evaluation.report.plots import all_plots
 from baselines.evaluation.store import gif_of, read_records, read_settings
-from baselines.methods import NOTHING
+from baselines.methods import KNOWS_NOTHING
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import Record, scorecards
 
@@ -52,7 +52,7 @@ def _most_telling_first(records: Sequence[Record], knows: Mapping[str, str]) -> 
     ranks = []
     for place, record in enumerate(records):
         kind = record.scenario, record.method, record.outcome, record.hazard
-        blind = knows.get(record.method, NOTHING) == NOTHING
+        blind = knows.get(record.method, KNOWS_NOTHING) == KNOWS_NOTHING
         ranks.append((seen[kind], blind, not record.hazard, TELLING.index(record.outcome), record.method, place))
         seen[kind] += 1
     return [records[place] for *_, place in sorted(ranks)]

@@ -9,18 +9,18 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
-from baselines.methods import KNOWLEDGE, METHODS, NOTHING, SEEN, SENT, TRUTH
+from baselines.methods import KNOWLEDGE, KNOWS_NOTHING, KNOWS_SEEN, KNOWS_SENT, KNOWS_TRUTH, METHODS
 from baselines.plot_style import BLUE, GREEN, GREY, VERMILION
 
-KNOWLEDGE_COLOURS = {NOTHING: GREY, SEEN: VERMILION, SENT: BLUE, TRUTH: GREEN}
+KNOWLEDGE_COLOURS = {KNOWS_NOTHING: GREY, KNOWS_SEEN: VERMILION, KNOWS_SENT: BLUE, KNOWS_TRUTH: GREEN}
 SHAPES = {"always-go": ">", "always-brake": "X", "planner-own": "s", "planner-shared": "s", "expert": "D"}
-WIDTHS = {1: 6.0, 2: 4.6}  # inches of a panel, by the number of panels beside each other
-WIDTH = 3.6  # of one in more
+_WIDTHS = {1: 6.0, 2: 4.6}  # inches of a panel, by the number of panels beside each other
+_WIDTH = 3.6  # of one in more
 
 
 def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -> tuple[Figure, list[dict[str, Axes]]]:
     """A figure of some height (inches) with so many rows of panels, each by scenario; titles over the first."""
-    width = 1.6 + WIDTHS.get(len(scenarios), WIDTH) * len(scenarios)
+    width = 1.6 + _WIDTHS.get(len(scenarios), _WIDTH) * len(scenarios)
     figure = Figure((width, height), layout=ConstrainedLayoutEngine(wspace=0.06))
     grid = figure.subplots(rows, len(scenarios), sharey=True, squeeze=False, **options)
     for scenario, axes in zip(scenarios, grid[0], strict=True):
@@ -31,7 +31,7 @@ def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -
 def knowledge_of(settings: Mapping[str, Any]) -> dict[str, str]:
     """What each method of a run knows; for methods from outside it is in settings.json."""
     return {
-        name: METHODS[name].knows if name in METHODS else settings.get(f"knowledge of {name}", NOTHING)
+        name: METHODS[name].knows if name in METHODS else settings.get(f"knowledge of {name}", KNOWS_NOTHING)
         for name in settings.get("method", METHODS)
     }
 
@@ -43,12 +43,12 @@ def look(method: str, knows: Mapping[str, str]) -> dict[str, Any]:
 
 def colour(method: str, knows: Mapping[str, str]) -> str:
     """By what it knows."""
-    return KNOWLEDGE_COLOURS[knows.get(method, NOTHING)]
+    return KNOWLEDGE_COLOURS[knows.get(method, KNOWS_NOTHING)]
 
 
 def knowledge_legend(figure: Figure, methods: Iterable[str], knows: Mapping[str, str]) -> None:
     """The legend of the colours of these methods, below the panels."""
-    used = {knows.get(name, NOTHING) for name in methods}
+    used = {knows.get(name, KNOWS_NOTHING) for name in methods}
     keys = [Line2D([], [], color=KNOWLEDGE_COLOURS[k], linewidth=3.0, label=k) for k in KNOWLEDGE if k in used]
     figure.legend(handles=keys, loc="outside lower left", ncols=len(keys), title="knows", alignment="left")
 

@@ -12,7 +12,7 @@ from cad_env.scoring.scorecard import Scorecard
 from cad_env.scoring.table import TITLES, cells_of
 
 SAID_ELSEWHERE = ("scenario", "method", "command", "episodes", "first_seed")
-UNITS = {"sensor_noise": "m", "gnss_noise": "m", "delay": "s", "range": "m", "depth": "frames"}
+_UNITS = {"sensor_noise": "m", "gnss_noise": "m", "delay": "s", "range": "m", "depth": "frames"}
 CSS = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 76rem; margin: 2rem auto;
   padding: 0 1rem }
@@ -93,7 +93,7 @@ def _plain(name: str, value: object) -> str:
         return ", ".join(f"{part} {_plain(part, inner)}" for part, inner in value.items())
     if name == "rate":
         return f"{float(str(value)) / 1e6:g} Mbit/s"
-    return "default" if value is None else f"{value} {UNITS[name]}" if name in UNITS else str(value)
+    return "default" if value is None else f"{value} {_UNITS[name]}" if name in _UNITS else str(value)
 
 
 def _plot(plot: Plot) -> str:

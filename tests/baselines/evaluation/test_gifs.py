@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from baselines.evaluation.gifs import first_of_each, write_gifs
-from baselines.evaluation.run import drive
+from baselines.evaluation.run import drive_task
 from baselines.evaluation.settings import Settings
 from cad_env.scoring.scorecard import Record
 
@@ -17,7 +17,7 @@ SETTINGS = Settings(
 
 @pytest.fixture(scope="module")
 def records() -> list[Record]:
-    return [record for task in SETTINGS.tasks() for record in drive(SETTINGS, task)]
+    return [record for task in SETTINGS.tasks() for record in drive_task(SETTINGS, task)]
 
 
 def test_the_first_seeds_of_each_kind_are_chosen(records: list[Record]):

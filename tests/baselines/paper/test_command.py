@@ -11,7 +11,7 @@ import torch
 
 from baselines.cli import parsed
 from baselines.evaluation.grid import Task as Episodes
-from baselines.evaluation.run import drive, identity
+from baselines.evaluation.run import drive_task, identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import read_records
 from baselines.folder_note import claim, difference
@@ -19,7 +19,7 @@ from baselines.methods import LEARNED
 from baselines.paper import command as reproduce
 from baselines.paper.gathering import commands, gather
 from baselines.paper.presets import PRESETS, Preset
-from baselines.paper.report import write
+from baselines.paper.report import write_results
 from baselines.paper.tasks import PaperTask, Plan, in_table, measuring, perform, scoring, training, units, work_of
 from baselines.workers import heard
 from cad_env.scoring.scorecard import Record
@@ -92,13 +92,13 @@ def test_what_is_done_is_not_done_again_and_stands_side_by_side(plan: Plan, monk
     before = {path: path.stat().st_mtime_ns for path in plan.out.glob("models/**/*.*")}
     before |= {path: path.stat().st_mtime_ns for path in plan.out.glob("open/*/*.json")}
     assert len(before) > 5
-    monkeypatch.setattr("baselines.evaluation.run.drive", None)  # nothing drives any more
+    monkeypatch.setattr("baselines.evaluation.run.drive_task", None)  # nothing drives any more
     for task in tasks:
         perform(plan, task, told.append)
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert gather(plan) == 0
     assert read_records(plan.out / "closed" / "dsrc" / "0") == records
-    text = write(plan.out).read_text()
+    text = write_results(plan.out).read_text()
     assert "command-only" in text
 
 
@@ -111,9 +111,9 @@ def test_an_episode_that_two_sweeps_meet_in_is_driven_once(plan: Plan, monkeypat
 
     def counted(settings: Settings, task: Episodes) -> Iterator[Record]:
         driven.append(str(settings.out))
-        return drive(settings, task)
+        return drive_task(settings, task)
 
-    monkeypatch.setattr("baselines.evaluation.run.drive", counted)
+    monkeypatch.setattr("baselines.evaluation.run.drive_task", counted)
     for what in ("sweeps/delay/0.0", "sweeps/gnss/0.0", "sweeps/budget/25000", "sweeps/depth/15"):
         perform(plan, PaperTask("sweep", "stgraph", 0, what), lambda work: None)
     assert not driven

@@ -103,7 +103,7 @@ def test_a_measurement_that_does_not_know_its_model_is_refused_with_the_way_out(
     data = json.loads((tmp_path / "x.json").read_text())
     del data["made_with"]
     (tmp_path / "x.json").write_text(json.dumps(data))
-    with pytest.raises(ValueError, match=r"x\.json: it does not say which model .* delete it"):
+    with pytest.raises(ValueError, match=r"x\.json: it is of an older format, .* delete it"):
         read_open_loop(tmp_path / "x.json")
 
 

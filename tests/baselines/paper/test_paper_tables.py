@@ -16,7 +16,7 @@ from baselines.paper.claims import orders
 from baselines.paper.closed_metrics import ClosedRow, closed_row, compared
 from baselines.paper.folder import read_run
 from baselines.paper.published import SCENES, TABLE_2, TABLE_3
-from baselines.paper.report import found_in, write
+from baselines.paper.report import found_in, write_results
 from baselines.paper.sweeps import SWEEPS, points
 from cad_env.envs.single import CADEnv
 from cad_env.scoring.interval import wilson_estimate
@@ -165,7 +165,7 @@ def test_settings_speak_bytes_degrees_and_heads() -> None:
 
 
 def test_a_whole_run_has_all_its_parts(tmp_path: Path) -> None:
-    text = write(write_run(tmp_path, ["left_turn"], 20), "python reproduce.py").read_text()
+    text = write_results(write_run(tmp_path, ["left_turn"], 20), "python reproduce.py").read_text()
     assert "Left out" not in text
     for words in ("python reproduce.py", "0.9265 / ", "200 kbit = 25 kB", '"0. 7020"', "| **stgraph** | 3 | 20 |",
                   "radio `ideal`", "stgraph over collab-gat", "Points came out *better*", "2722",
@@ -195,7 +195,7 @@ def test_who_needs_another_radio_is_compared_with_the_main_one(tmp_path: Path) -
 
 
 def test_what_is_not_there_is_left_out_with_a_word(tmp_path: Path) -> None:
-    text = write(tmp_path).read_text()
+    text = write_results(tmp_path).read_text()
     assert text.count("Left out") == 7
     assert "sweep of loss, bursts" in text
     assert json.loads((tmp_path / "results.json").read_text())["closed"] == {}
@@ -205,7 +205,7 @@ def test_a_run_of_few_rows_is_a_report_too(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     records = [record("overtaking", "always-go", seed, rng, 0.5) for seed in range(5)]
     write_episodes(tmp_path / "closed" / "dsrc" / "0", records)
-    text = write(tmp_path).read_text()
+    text = write_results(tmp_path).read_text()
     assert "| always-go | 1 | 5 |" in text
     assert "Left out: there is no pair of rows" in text
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from baselines.evaluation.run import opened
+from baselines.evaluation.run import opened_store
 from baselines.evaluation.training_seeds import runs_of
 from baselines.methods import shipped_models
 from baselines.training import command as train
@@ -116,7 +116,7 @@ def test_a_row_that_is_added_can_be_scored_beside_an_earlier_run(tmp_path: Path,
             shutil.copytree(shipped_models(), settings.models(seed), dirs_exist_ok=True)
         for run in settings.scoring():
             for part in runs_of(run).values() if len(seeds) > 1 else [run]:
-                opened(part)
+                opened_store(part)
 
 
 def test_one_scenario_several_or_all_have_folders_of_their_own() -> None:

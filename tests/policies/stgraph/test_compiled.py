@@ -217,7 +217,7 @@ def test_every_knob_of_the_network_is_either_computed_or_left_to_the_dense_one()
     told = {"attn_slope", "position_scale", "hidden", "mlp_width", "head_width", "edge_attributes", "velocity",
             "commands"}  # fmt: skip
     left = {"heads", "layers", "fusion", "temporal_edges", "temporal", "node_time", "relu_logits", "ego_speed"}
-    assert {knob.name for knob in dataclasses.fields(StGraphConfig)} == told | left | {"class_input"}
+    assert {knob.name for knob in dataclasses.fields(StGraphConfig)} == told | left | {"class_input", "commands"}
     assert all(map(supports, FUSED.values()))
 
 

@@ -16,7 +16,7 @@ from policies.model_folder import load_model
 from policies.stgraph.network import StGraphConfig
 from policies.stgraph.policy import StGraphPolicy
 from policies.training import ppo
-from policies.training.config import DAGGER_SEEDS, EXPERT_SEEDS, FINAL_SEEDS, VALIDATION_SEEDS
+from policies.training.config import DAGGER_SEEDS, EXPERT_SEEDS, FINAL_SEEDS, VALIDATION_SEEDS, TrainingConfig
 from policies.training.ppo import PpoConfig, actor_of, train_ppo
 from policies.training.sb3_env import SEEDS, Scenes
 

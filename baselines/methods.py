@@ -204,10 +204,10 @@ def radio_of(method: str, usual: str) -> str:
 def _outside(name: str) -> Method:
     found = resolved(name)
     if is_network_spec(found):
-        from policies.registry import register
+        from policies.registry import register_spec
 
-        register(found, name)
-        register(found)  # the name that its model folders hold
+        register_spec(found, name)
+        register_spec(found)  # the name that its model folders hold
         shares, training = getattr(found, "shares", "graph"), getattr(found, "training", {})
         if shares not in SHARED:
             raise ValueError(f"{name} must share one of {', '.join(SHARED)}, got {shares!r}")

@@ -126,7 +126,7 @@ def main() -> None:
             _of_features("CPU size", CompressedConfig(), points, vehicles, 32, repeats)
             for points, vehicles in ((64, 4), (128, 3), (128, 5))
         ),
-        _of_features("paper size", compressed.PAPER_SIZE, 2048, 4, 1, repeats),
+        _of_features("paper size", compressed.COOPERNAUT_SIZE, 2048, 4, 1, repeats),
     ]
     if asked.json is not None:
         asked.json.write_text(json.dumps(rows, indent=1) + "\n")

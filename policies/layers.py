@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 
-def uniform(rng: torch.Generator, bound: float, *shape: int) -> nn.Parameter:
+def uniform_parameter(rng: torch.Generator, bound: float, *shape: int) -> nn.Parameter:
     """A parameter of independent uniform numbers from -bound to bound."""
     return nn.Parameter(torch.empty(*shape).uniform_(-bound, bound, generator=rng))
 
@@ -17,8 +17,8 @@ class Linear(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, rng: torch.Generator) -> None:
         super().__init__()
-        self.weight = uniform(rng, 1 / math.sqrt(inputs), outputs, inputs)
-        self.bias = uniform(rng, 1 / math.sqrt(inputs), outputs)
+        self.weight = uniform_parameter(rng, 1 / math.sqrt(inputs), outputs, inputs)
+        self.bias = uniform_parameter(rng, 1 / math.sqrt(inputs), outputs)
 
     def forward(self, x: Tensor) -> Tensor:
         """(..., outputs) for x (..., inputs)."""

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import Ints, Observation
-from policies.spec import SpecDefaults
+from policies.spec import LearnedPolicy, SpecDefaults
 from policies.threshold_policy import DenseNet, ThresholdPolicy
 
 _AT_ONCE = 256  # scenes in one pass
@@ -94,6 +94,6 @@ class ObservationSpec(SpecDefaults):
         logits: Tensor = network({key: batch[key].float() for key in self.keys})
         return logits
 
-    def policy(self, network: nn.Module, threshold: float) -> ObservationPolicy:
+    def policy(self, network: nn.Module, threshold: float) -> LearnedPolicy:
         """The network as it is now, as a policy that brakes when P(brake) reaches the threshold."""
         return ObservationPolicy(network, self.keys, threshold)

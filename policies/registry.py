@@ -19,7 +19,7 @@ SPECS: Mapping[str, str] = MappingProxyType(  # name -> module
 _registered: "dict[str, NetworkSpec]" = {}
 
 
-def register(spec: "NetworkSpec", name: str = "") -> None:
+def register_spec(spec: "NetworkSpec", name: str = "") -> None:
     """Make a network spec from outside known in this process, by its own name or another.
 
     ValueError for a name that is one of those that ship.
@@ -34,7 +34,7 @@ def spec_named(name: str) -> "NetworkSpec":
     """The network spec called `name`; ValueError that lists the choices otherwise.
 
     A model folder names its spec, and a file must not make this process import anything: specs from outside are found
-    only after `register`, which naming them on a command line does.
+    only after `register_spec`, which naming them on a command line does.
     """
     if name in _registered:
         return _registered[name]

@@ -16,7 +16,6 @@ from cad_env.scoring.rollout import BatchPolicy
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import COMMANDS, Ints, Observation, Policy
 
-Batch = Mapping[str, NDArray[Any]]  # arrays with a leading dimension B
 Self = TypeVar("Self", bound="Frames")
 
 
@@ -40,7 +39,7 @@ class Frames(Protocol):
 class LearnedPolicy(Policy, BatchPolicy, Protocol):
     """A learned policy: it decides one by one or in batches, and says how sure it is."""
 
-    def brake_probability(self, observations: Batch) -> NDArray[Any]:
+    def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
         """P(brake), (n,), for observations stacked along a new first axis."""
 
 

@@ -130,11 +130,11 @@ def rollouts(
     def noted(which: Ints, actions: Ints) -> None:
         log.note(which, actions, {name: batch.step_info(name)[which] for name in _LOGGED})
 
-    for _, place in play(batch, begun(), act, noted, hazard, len(batch) if together else 1):
+    for _, place in play_episodes(batch, begun(), act, noted, hazard, len(batch) if together else 1):
         yield log.episode(place, batch.simulations[place], method)
 
 
-def play(
+def play_episodes(
     batch: SceneBatch,
     seeds: Iterable[int],
     decide: Callable[[Ints, Ints], Ints],

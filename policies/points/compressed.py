@@ -24,7 +24,7 @@ from cad_env.simulation.simulation import Simulation
 from cad_env.types import COMMANDS, MOST_COMMANDS, Floats, Ints, Observation
 from policies.layers import Linear
 from policies.points import feature_codec
-from policies.points.frames import CloudFrames, Seen, record_of, seen
+from policies.points.frames import CloudFrames, Seen, packed_frames, seen
 from policies.points.layers import (
     POSITION_SCALE,
     SHARE,
@@ -32,13 +32,13 @@ from policies.points.layers import (
     check_sizes,
     cloud_of,
     decision,
-    in_order,
     mean,
     most,
+    sorted_points,
 )
 from policies.threshold_policy import PointsPolicy
 
-VOXEL = 4.0  # m
+_VOXEL = 4.0  # m
 VEHICLES = 5  # whose keypoints the receiver has room for: its own and those of four others
 MOST_KEYPOINTS = 128
 _SIZES = {"points": 65_536, "neighbours": 64, "width": 256, "levels": 5, "channels": 256, "pooled_width": 256,
@@ -47,7 +47,7 @@ _SIZES = {"points": 65_536, "neighbours": 64, "width": 256, "levels": 5, "channe
 
 @dataclass(frozen=True)
 class CompressedConfig:
-    """The knobs of sender and receiver; `PAPER_SIZE` are those of COOPERNAUT.
+    """The knobs of sender and receiver; `COOPERNAUT_SIZE` are those of COOPERNAUT.
 
     >>> CompressedConfig(points=2048)
     Traceback (most recent call last):
@@ -82,7 +82,7 @@ class CompressedConfig:
         return keypoints
 
 
-PAPER_SIZE = CompressedConfig(points=2048, neighbours=16, width=32, levels=2, pooled_width=128, mlp_width=128)
+COOPERNAUT_SIZE = CompressedConfig(points=2048, neighbours=16, width=32, levels=2, pooled_width=128, mlp_width=128)
 
 
 class CompressedNet(nn.Module):
@@ -105,7 +105,7 @@ class CompressedNet(nn.Module):
 
     def receive(self, position: Floats, features: Tensor, scene: Ints, command: Tensor) -> Tensor:
         """Logits (B, 2) for keypoints (P, 3) m in the ego's frame of the scenes (P,), and the commands (B, 6)."""
-        cell = np.floor(position / VOXEL).astype(np.int64)
+        cell = np.floor(position / _VOXEL).astype(np.int64)
         of_voxel, voxel = np.unique(_keys(scene, cell), return_inverse=True)
         at, voxels = torch.from_numpy(voxel.reshape(-1)), len(of_voxel)
         where = mean(torch.from_numpy(position).to(features.dtype), at, voxels) * POSITION_SCALE
@@ -131,7 +131,7 @@ class CompressedNet(nn.Module):
         `clouds` (B, V, N, 3) m, `clouds_mask` (B, V, N), `poses` (B, V, 3) in the ego's frame and `command` (B, 6).
         """
         clouds, mask = batch["clouds"].flatten(0, 1).numpy(), batch["clouds_mask"].flatten(0, 1).numpy()
-        position, features, first = self.encode(*in_order(clouds, mask)[:2])
+        position, features, first = self.encode(*sorted_points(clouds, mask)[:2])
         vehicle = cloud_of(first).numpy()
         pose = batch["poses"].flatten(0, 1).double().numpy()[vehicle]
         scene = vehicle // batch["clouds"].shape[1]
@@ -170,14 +170,14 @@ class LearnedFeatures:
         padded = np.zeros((*mask.shape, 3))
         padded[mask] = np.concatenate([np.zeros((0, 3)), *few])
         with torch.inference_mode():
-            position, features, first = self._network.encode(*in_order(padded, mask)[:2])
+            position, features, first = self._network.encode(*sorted_points(padded, mask)[:2])
         said = features.numpy()
         spans = zip(first[:-1].tolist(), first[1:].tolist(), strict=True)
-        return [feature_codec.written(position[a:b], said[a:b]) for a, b in spans]
+        return [feature_codec.write_keypoints(position[a:b], said[a:b]) for a, b in spans]
 
     def decode(self, payload: bytes) -> Floats:
         """(k <= most, 3 + width) keypoints; raises DecodeError only."""
-        return feature_codec.read(payload, self.most, self.width)
+        return feature_codec.read_keypoints(payload, self.most, self.width)
 
 
 class SizedOnly:
@@ -248,7 +248,7 @@ class CompressedSpec:
 
     def frames(self, looks: Sequence[Seen], labels: Sequence[int]) -> CloudFrames:
         """All clouds in one record."""
-        return CloudFrames(**record_of(looks, labels, VEHICLES))
+        return CloudFrames(**packed_frames(looks, labels, VEHICLES))
 
     def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """End to end, from what all vehicles see."""

@@ -20,10 +20,10 @@ from cad_env.pipeline.varint import DecodeError
 from cad_env.types import Floats
 
 VERSION = 1
-MOST_FEATURES, MOST_KEYPOINTS = 256, 65_535
-REACH = 32_767  # cm
+_MOST_FEATURES, _MOST_KEYPOINTS = 256, 65_535
+_REACH = 32_767  # cm
 LARGEST = 200.0  # of a feature, either way: what an observation can hold
-CENTIMETRES = 100.0
+CENTIMETRES = 100.0  # to the metre
 
 _HEADER, _CRC = struct.Struct("<BBH"), struct.Struct("<I")
 
@@ -37,23 +37,23 @@ def size(keypoints: int, width: int) -> int:
     return _HEADER.size + keypoints * (6 + 2 * width) + _CRC.size
 
 
-def written(position: NDArray[np.floating], features: NDArray[np.floating]) -> bytes:
+def write_keypoints(position: NDArray[np.floating], features: NDArray[np.floating]) -> bytes:
     """Keypoints (k, 3) m with features (k, W) as bytes: to the centimetre, and to eleven significant bits.
 
     What two bytes cannot hold is clipped: a position at 327 m, a feature at LARGEST.
 
-    >>> len(written(np.zeros((128, 3)), np.zeros((128, 128))))
+    >>> len(write_keypoints(np.zeros((128, 3)), np.zeros((128, 128))))
     33544
     """
     count, width = features.shape
-    place = np.clip(np.rint(position * CENTIMETRES), -REACH, REACH).astype("<i2")
+    place = np.clip(np.rint(position * CENTIMETRES), -_REACH, _REACH).astype("<i2")
     said = np.clip(features, -LARGEST, LARGEST).astype("<f2")
     message: bytes = _HEADER.pack(VERSION, width - 1, count) + place.tobytes() + said.tobytes()
     return message + _CRC.pack(zlib.crc32(message))
 
 
-def read(payload: bytes, most: int, width: int) -> Floats:
-    """(k <= most, 3 + width) positions in m and features; DecodeError for any bytes that `written` does not write."""
+def read_keypoints(payload: bytes, most: int, width: int) -> Floats:
+    """(k <= most, 3 + width) positions in m and features; DecodeError for bytes that `write_keypoints` never writes."""
     if len(payload) < _HEADER.size + _CRC.size:
         raise DecodeError(f"keypoints of {len(payload)} bytes refused: they end too early")
     version, named, count = _HEADER.unpack_from(payload)
@@ -66,6 +66,6 @@ def read(payload: bytes, most: int, width: int) -> Floats:
         raise DecodeError("keypoints refused: their CRC-32 does not match")
     place = np.frombuffer(payload, "<i2", 3 * count, _HEADER.size).reshape(count, 3)
     said = np.frombuffer(payload, "<f2", width * count, _HEADER.size + 6 * count).reshape(count, width)
-    if (place < -REACH).any() or not (np.abs(said) <= LARGEST).all():
+    if (place < -_REACH).any() or not (np.abs(said) <= LARGEST).all():
         raise DecodeError("keypoints refused: a number that the encoder does not write")
     return np.concatenate([place / CENTIMETRES, said.astype(np.float64)], axis=1)

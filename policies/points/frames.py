@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cad_env.types import Floats, Ints, Observation
+from policies.points.feature_codec import CENTIMETRES
 
-CENTIMETRES = 100.0
 _PARTS = ("label", "command", "ego", "pose", "point")
 _REACH = 32_767  # cm
 
@@ -83,7 +83,7 @@ class CloudFrames:
         return type(self)(self.vehicles, self.points, first_cloud=first_cloud, first_point=first_point, **whole)
 
 
-def record_of(looks: Sequence[Seen], labels: Sequence[int], vehicles: int) -> dict[str, Any]:
+def packed_frames(looks: Sequence[Seen], labels: Sequence[int], vehicles: int) -> dict[str, Any]:
     """The fields of the frames that were looked at, with at most so many vehicles of each."""
     clouds = [cloud for look in looks for cloud in look.clouds[:vehicles]]
     poses = [look.pose[:vehicles] for look in looks]

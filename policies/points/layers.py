@@ -18,9 +18,9 @@ from torch.nn import functional
 
 from cad_env.types import Floats, Ints
 from policies.layers import Linear
+from policies.points.feature_codec import CENTIMETRES
 from policies.points.neighbours import farthest, largest, nearest
 
-CENTIMETRES = 100.0  # to the metre: what positions are rounded to before anything is computed from them
 POSITION_SCALE = 1 / 50  # 1/m, of positions as features
 OFFSET_SCALE = 1 / 4  # 1/m, of the way from a point to its neighbour
 SHARE = 4  # a transition down keeps one point in so many
@@ -57,7 +57,7 @@ def level(grid: Floats, first: Ints, k: int) -> Level:
     return Level(grid, first, nearest(grid, first, k))
 
 
-def in_order(points: NDArray[Any], mask: NDArray[Any]) -> tuple[Floats, Ints, Ints]:
+def sorted_points(points: NDArray[Any], mask: NDArray[Any]) -> tuple[Floats, Ints, Ints]:
     """Padded clouds, (B, M, 3) m and (B, M), as the grid and the beginnings of a `Level`, with the rows they had.
 
     The order is a function of each cloud as a set: x, then y, then z.

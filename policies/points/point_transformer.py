@@ -18,8 +18,8 @@ from cad_env.lidar.config import CloudConfig
 from cad_env.lidar.points import RawPoints
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import COMMANDS, MOST_COMMANDS, Ints, Observation
-from policies.points.frames import CloudFrames, Seen, record_of, seen
-from policies.points.layers import Backbone, check_sizes, cloud_of, decision, in_order, mean, most
+from policies.points.frames import CloudFrames, Seen, packed_frames, seen
+from policies.points.layers import Backbone, check_sizes, cloud_of, decision, mean, most, sorted_points
 from policies.spec import SpecDefaults
 from policies.threshold_policy import PointsPolicy
 
@@ -67,7 +67,7 @@ class PointTransformerNet(nn.Module):
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Logits (B, 2) for `cloud` (B, M, 3) m, `cloud_mask` (B, M) and `command` (B, 6)."""
         cloud, mask = observation["cloud"].numpy(), observation["cloud_mask"].numpy()
-        here, x = self.backbone(*in_order(cloud, mask)[:2])
+        here, x = self.backbone(*sorted_points(cloud, mask)[:2])
         of, clouds = cloud_of(here.first), len(mask)
         told = [most(x, of, clouds), mean(x, of, clouds), observation["command"].to(x.dtype)]
         logits: Tensor = self.decide(torch.cat(told, dim=1))
@@ -116,7 +116,7 @@ class PointTransformerSpec(SpecDefaults):
 
     def frames(self, looks: Sequence[Seen], labels: Sequence[int]) -> MergedFrames:
         """All merged clouds in one record."""
-        return MergedFrames(**record_of(looks, labels, vehicles=1))
+        return MergedFrames(**packed_frames(looks, labels, vehicles=1))
 
     def logits(self, network: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Of the network itself."""

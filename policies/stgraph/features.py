@@ -32,7 +32,7 @@ class Relation:
 
 
 @dataclass(frozen=True)
-class Scene:
+class GraphTensors:
     """B graphs, ready for attention."""
 
     nodes: Tensor  # (F, K, T, B) node inputs, 0 where there is no node
@@ -41,7 +41,7 @@ class Scene:
     temporal: Relation | None  # its groups are tracks: I = T, G = K
 
 
-def scene(observation: Mapping[str, Tensor], config: StGraphConfig, dtype: torch.dtype) -> Scene:
+def graph_tensors(observation: Mapping[str, Tensor], config: StGraphConfig, dtype: torch.dtype) -> GraphTensors:
     """The graphs of a batch of observations; reads `tracks`, `mask` and, where an option asks, `ego` and `kind`."""
     tracks, mask = observation["tracks"], observation["mask"] != 0
     if tracks.ndim != 4 or tracks.shape[-1] != 3 or mask.shape != tracks.shape[:-1]:
@@ -55,7 +55,7 @@ def scene(observation: Mapping[str, Tensor], config: StGraphConfig, dtype: torch
     time = STEP * torch.arange(1 - mask.shape[1], 1, device=tracks.device, dtype=dtype)
     nodes, ego = _inputs(position, mask, time, observation, config)
     temporal = _temporal(mask, time, config.temporal_edges) if config.temporal else None
-    return Scene(nodes, ego, _spatial(config.position_scale * position, mask), temporal)
+    return GraphTensors(nodes, ego, _spatial(config.position_scale * position, mask), temporal)
 
 
 def _tracks_in_use(mask: Tensor) -> int:

@@ -14,15 +14,15 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from policies.layers import Linear, uniform
+from policies.layers import Linear, uniform_parameter
 from policies.stgraph.config import StGraphConfig
-from policies.stgraph.features import Relation, ego_speed, scene
+from policies.stgraph.features import Relation, ego_speed, graph_tensors
 
 __all__ = ["StGraphConfig", "StGraphNet"]
 
 
 def _glorot(rng: torch.Generator, fan_in: int, fan_out: int, *shape: int) -> nn.Parameter:
-    return uniform(rng, math.sqrt(6 / (fan_in + fan_out)), *shape)
+    return uniform_parameter(rng, math.sqrt(6 / (fan_in + fan_out)), *shape)
 
 
 class _WeightedSum(torch.autograd.Function):
@@ -55,7 +55,25 @@ class _WeightedSum(torch.autograd.Function):
 
 
 class RelationLayer(nn.Module):
-    """One attention layer over the edges of one kind: Eqs. (2) and (3) of the paper, with H heads of D numbers."""
+    r"""One graph attention layer over the edges of one relation, H heads of D numbers: Eqs. (2) and (3) of the paper.
+
+    The heads are those of graph attention networks (Velickovic et al., ICLR 2018, https://arxiv.org/abs/1710.10903)
+    with edge attributes, as in `torch_geometric.nn.GATConv(edge_dim=1)`. For a target :math:`i` with sources :math:`N(i)`,
+
+    .. math::
+        \alpha_{ij} = \mathrm{softmax}_{j \in N(i)} \left( \mathrm{LeakyReLU} \left(
+            \mathbf{a}^{\top} [\mathbf{W} \mathbf{h}_i \, \Vert \, \mathbf{W} \mathbf{h}_j \, \Vert \,
+            \mathbf{W}_e e_{ij}] \right) \right)
+
+        \mathbf{h}'_i = \mathrm{ReLU} \left( \mathbf{W} \mathbf{h}_i + \sum_{j \in N(i)} \alpha_{ij}
+            (\mathbf{W} \mathbf{h}_j + \mathbf{W}_e e_{ij}) \right)
+
+    Unlike in GATConv, the target's own term is added outside of the attention, in place of a self-loop, and a source's
+    message holds the edge's attribute. Without `edge_attributes` the terms with :math:`e_{ij}` are left out.
+
+    Shapes: nodes (F, I, G, B) and ego (F, 1, 1, B) to (H * D, I, G, B) and (H * D, 1, 1, B) where heads are
+    concatenated, and to (D, ...) where they are averaged.
+    """
 
     def __init__(self, inputs: int, config: StGraphConfig, concatenate: bool, rng: torch.Generator) -> None:
         super().__init__()
@@ -108,7 +126,15 @@ class RelationLayer(nn.Module):
 
 
 class Importance(nn.Module):
-    """How much a relation matters to a graph: Eq. (4), with one set of weights for both relations."""
+    r"""How much a relation :math:`r` matters to a graph of N nodes: Eq. (4), with the same weights for both relations.
+
+    .. math::
+        w_r = \frac{1}{N} \sum_{i=1}^{N} \mathbf{q}^{\top} \tanh(\mathbf{W}_b \mathbf{h}^r_i + \mathbf{b}),
+        \qquad \beta_r = \mathrm{softmax}_r(w_r)
+
+    The nodes' new embeddings are :math:`\sum_r \beta_r \mathbf{h}^r_i`, Eq. (5): the semantic attention of HAN (Wang et
+    al., WWW 2019, https://arxiv.org/abs/1903.07293), but for each graph by itself.
+    """
 
     def __init__(self, width: int, rng: torch.Generator) -> None:
         super().__init__()
@@ -170,7 +196,7 @@ class StGraphNet(nn.Module):
 
     def embed(self, observation: Mapping[str, Tensor]) -> Tensor:
         """The embedding h'_ego (B, head_width) of the scene around the ego: Eq. (6)."""
-        seen = scene(observation, self.config, self.project.weight.dtype)
+        seen = graph_tensors(observation, self.config, self.project.weight.dtype)
         edges = {"spatial": seen.spatial} | ({"temporal": seen.temporal} if seen.temporal else {})
         grids, egos = self._part(self._lift(seen.nodes), self._lift(seen.ego))
         for depth in range(self.config.layers):

@@ -17,7 +17,7 @@ import numpy as np
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.rules.expert import decisions, expert_of
 from cad_env.scenarios.registry import outside_sources
-from cad_env.scoring.rollout import BatchPolicy, play
+from cad_env.scoring.rollout import BatchPolicy, play_episodes
 from cad_env.simulation.scene_step import UNDER_WAY
 from cad_env.simulation.setup import Setup
 from cad_env.simulation.simulation import Simulation
@@ -126,7 +126,7 @@ def replay(recorded: Demonstrations, envs: CADVectorEnv, look: Look) -> tuple[li
         return action
 
     outcome = np.zeros(len(recorded), np.int8)
-    for episode, place in play(envs.batch, recorded.seed.tolist(), decide):
+    for episode, place in play_episodes(envs.batch, recorded.seed.tolist(), decide):
         outcome[episode] = envs.batch.outcomes[place]
     length = np.array([len(of) for of in looks])
     if unlike := np.flatnonzero((outcome != recorded.outcome) | (length != recorded.length)).tolist():
@@ -180,7 +180,7 @@ def _drive(
             labels[episode].append(right)
         return action
 
-    for episode, place in play(batch, seeds, decide):
+    for episode, place in play_episodes(batch, seeds, decide):
         yield Demonstrations(
             np.array([seeds[episode]], np.int64), np.array([len(actions[episode])], np.int64),
             batch.outcomes[[place]].astype(np.int8), np.array(actions[episode], np.int8),

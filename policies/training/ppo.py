@@ -28,8 +28,8 @@ from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.training.cloning import load_state, save_state
 from policies.training.sb3_env import Scenes
 
-ABREAST, ROLLOUT = 48, 64  # scenes at once, and decisions in each of them between two updates
-PART = 8 * ABREAST * ROLLOUT  # decisions between two checkpoints
+SCENES_AT_ONCE, ROLLOUT = 48, 64  # scenes at once, and decisions in each of them between two updates
+PART = 8 * SCENES_AT_ONCE * ROLLOUT  # decisions between two checkpoints
 CRITIC = (32, 32)  # widths of the critic on top of the embedding
 
 
@@ -51,7 +51,7 @@ class PpoConfig:
         radio_config(self.radio)
         for name, low, high in (
             ("learning_rate", 1e-7, 1.0), ("discount", 0.0, 1.0), ("advantage", 0.0, 1.0), ("clip", 0.0, 1.0),
-            ("entropy", 0.0, 1.0), ("epochs", 1, 100), ("batch", 2, ABREAST * ROLLOUT),
+            ("entropy", 0.0, 1.0), ("epochs", 1, 100), ("batch", 2, SCENES_AT_ONCE * ROLLOUT),
         ):  # fmt: skip
             check_range(name, getattr(self, name), low, high)
 
@@ -94,7 +94,7 @@ def train_ppo(
         advance(parts * PART)
         return
     torch.set_num_threads(1)
-    model = _learner(Scenes(ABREAST, tuple(scenarios), config.radio, config.network), config, seed)
+    model = _learner(Scenes(SCENES_AT_ONCE, tuple(scenarios), config.radio, config.network), config, seed)
     for part in range(parts):
         checkpoint = folder / "checkpoints" / f"part_{part}.safetensors"
         if checkpoint.exists():

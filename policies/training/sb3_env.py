@@ -11,8 +11,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.types import Ints, Observation
 from policies.stgraph.config import StGraphConfig
+from policies.training.config import VALIDATION_SEEDS
 
-SEEDS = 900_000  # episodes to learn from have seeds below; validation begins here and scoring at a million
+SEEDS = VALIDATION_SEEDS  # episodes to learn from have seeds below
 
 
 class Scenes(VecEnv):

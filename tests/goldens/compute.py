@@ -82,7 +82,7 @@ def trained(network: str, folder: Path) -> str:
 
 def trained_by_reward(folder: Path) -> str:
     """Digest of the network of PPO after two small updates."""
-    with mock.patch.multiple(ppo, ABREAST=4, ROLLOUT=8, PART=32):
+    with mock.patch.multiple(ppo, SCENES_AT_ONCE=4, ROLLOUT=8, PART=32):
         ppo.train_ppo(folder, 64, scenarios=("left_turn",), config=ppo.PpoConfig(batch=16))
     return weights(folder)
 

@@ -39,7 +39,7 @@ class LayerWeights(NamedTuple):
     edge_value: Floats  # (L,) W_e
 
 
-class Layer(NamedTuple):
+class LayerPass(NamedTuple):
     """What happened in a layer, as its gradient needs it."""
 
     inputs: Floats  # (N, C)
@@ -50,13 +50,13 @@ class Layer(NamedTuple):
 
 
 @compiled
-def exchange(edges: Edges, inputs: Floats, weights: LayerWeights, slope: float) -> Layer:
-    """One exchange along the edges."""
+def attention_layer(edges: Edges, inputs: Floats, weights: LayerWeights, slope: float) -> LayerPass:
+    """One attention layer along the edges."""
     projected = multiply(inputs, weights.project)
     alpha = _attend(edges, projected, weights.edge_score, slope)
     heard, mean_length = np.empty((len(inputs), len(weights.edge_value))), np.empty((len(inputs), HEADS))
     _hear(edges, projected, weights.edge_value, alpha, mean_length, heard)
-    return Layer(inputs, projected, alpha, mean_length, heard)
+    return LayerPass(inputs, projected, alpha, mean_length, heard)
 
 
 @compiled
@@ -156,8 +156,8 @@ def _hear(
 
 
 @compiled
-def unexchange(
-    edges: Edges, layer: Layer, weights: LayerWeights, slope: float, to_heard: Floats, into: LayerWeights
+def attention_layer_backward(
+    edges: Edges, layer: LayerPass, weights: LayerWeights, slope: float, to_heard: Floats, into: LayerWeights
 ) -> Floats:
     """Given the gradient by what was heard (N, L), add to that of the weights; return that by the projection."""
     to_projected, to_alpha = np.zeros((len(to_heard), layer.projected.shape[1])), np.empty((len(layer.alpha), HEADS))
@@ -170,7 +170,7 @@ def unexchange(
 @compiled_part
 def _unhear(
     edges: Edges,
-    layer: Layer,
+    layer: LayerPass,
     edge_value: Floats,
     to_heard: Floats,
     to_alpha: Floats,
@@ -198,7 +198,7 @@ def _unhear(
 @compiled_part
 def _unattend(
     edges: Edges,
-    layer: Layer,
+    layer: LayerPass,
     edge_score: Floats,
     slope: float,
     to_alpha: Floats,

@@ -20,7 +20,7 @@ SPATIAL, TEMPORAL = 0, 1
 Singles = NDArray[np.float32]
 
 
-class Nodes(NamedTuple):
+class NodeList(NamedTuple):
     """The nodes of a batch; those of graph b, and then its ego, are rows start[b] to start[b + 1]."""
 
     start: Ints  # (B + 1,)
@@ -30,9 +30,9 @@ class Nodes(NamedTuple):
 
 
 @compiled
-def scene(
+def list_graph(
     tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float, velocity: bool
-) -> tuple[Nodes, Edges]:
+) -> tuple[NodeList, Edges]:
     """The graphs of tracks (B, K, T, 3) m, mask (B, K, T) and ego (B, 4), as one of its relations sees them."""
     nodes = _list(tracks, mask, ego, relation, scale, velocity)
     edges = _link(nodes)
@@ -41,7 +41,7 @@ def scene(
 
 
 @compiled_part
-def _list(tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float, velocity: bool) -> Nodes:
+def _list(tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float, velocity: bool) -> NodeList:
     """Frame by frame or, for temporal edges, track by track."""
     B, K, T = mask.shape
     most, width = B * (K * T + 1), 6 if velocity else 4
@@ -66,7 +66,7 @@ def _list(tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float
         start[b + 1] = n
     for i in range(n):
         inputs[i, width - 1] = 1.0
-    return Nodes(start, group[:n], time[:n], inputs[:n])
+    return NodeList(start, group[:n], time[:n], inputs[:n])
 
 
 @compiled_part
@@ -86,7 +86,7 @@ def _slope(tracks: Singles, mask: Ints, b: int, k: int, axis: int) -> float:
 
 
 @compiled_part
-def _link(nodes: Nodes) -> Edges:
+def _link(nodes: NodeList) -> Edges:
     """All pairs of each group, and the ego with everyone; their lengths are still to be filled in."""
     start, group, first = nodes.start, nodes.group, _count(nodes)
     source = np.empty(first[-1], np.int64)
@@ -103,7 +103,7 @@ def _link(nodes: Nodes) -> Edges:
 
 
 @compiled_part
-def _count(nodes: Nodes) -> Ints:
+def _count(nodes: NodeList) -> Ints:
     """The `first` of the edges: a node has as many as its group has nodes, an ego as many as its graph has others."""
     first, i, graph = np.zeros(len(nodes.group) + 1, np.int64), 0, 0
     while i < len(nodes.group):
@@ -120,7 +120,7 @@ def _count(nodes: Nodes) -> Ints:
 
 
 @compiled_part
-def _measure(nodes: Nodes, edges: Edges, relation: int) -> None:
+def _measure(nodes: NodeList, edges: Edges, relation: int) -> None:
     """Fill in the distance, in units of the position scale, or the time of the source minus that of the target."""
     place, time = nodes.inputs, nodes.time
     for i in range(len(time)):

@@ -18,7 +18,7 @@ from torch.autograd.function import once_differentiable
 from cad_env.types import Floats
 from policies.layers import Linear
 from policies.stgraph.compiled.attention import HEADS, LayerWeights, multiply
-from policies.stgraph.compiled.passes import Batch, Weights, backward, forward
+from policies.stgraph.compiled.passes import GraphBatch, Weights, backward, forward
 from policies.stgraph.compiled.relation_weights import Matter
 from policies.stgraph.config import StGraphConfig
 from policies.stgraph.network import Importance, RelationLayer, StGraphNet
@@ -94,7 +94,7 @@ class _Embed(torch.autograd.Function):
     """The embedding (B, D) of a batch, given the flat list of weights."""
 
     @staticmethod
-    def forward(ctx: Any, batch: Batch, config: StGraphConfig, *weights: Tensor) -> Tensor:
+    def forward(ctx: Any, batch: GraphBatch, config: StGraphConfig, *weights: Tensor) -> Tensor:
         _keep_freed_memory()
         ctx.config, ctx.weights = config, _named([weight.numpy() for weight in weights])
         ctx.passes = [forward(part, config, ctx.weights) for part in _parts(batch)]
@@ -119,21 +119,21 @@ def _keep_freed_memory() -> None:
     np.empty(31 << 20, np.uint8)
 
 
-def _batch(observation: Mapping[str, NDArray[Any]]) -> Batch:
+def _batch(observation: Mapping[str, NDArray[Any]]) -> GraphBatch:
     """The arrays of a batch, of the one type that the loops are compiled for."""
     tracks, mask = observation["tracks"], observation["mask"]
     if tracks.ndim != 4 or tracks.shape[-1] != 3 or mask.shape != tracks.shape[:-1]:
         raise ValueError(f"tracks must be (B, K, T, 3) and mask (B, K, T), got {tracks.shape} and {mask.shape}")
-    return Batch(
+    return GraphBatch(
         np.ascontiguousarray(tracks, np.float32),
         np.ascontiguousarray(mask != 0).view(np.int8),
         np.ascontiguousarray(observation["ego"] if "ego" in observation else np.zeros((len(mask), 1)), np.float32),
     )
 
 
-def _parts(batch: Batch) -> Iterator[Batch]:
+def _parts(batch: GraphBatch) -> Iterator[GraphBatch]:
     for at in range(0, max(len(batch.mask), 1), _AT_ONCE):
-        yield Batch(*(array[at : at + _AT_ONCE] for array in batch))
+        yield GraphBatch(*(array[at : at + _AT_ONCE] for array in batch))
 
 
 def _weights(network: StGraphNet) -> list[Tensor]:

@@ -5,13 +5,20 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.types import Floats, Ints
-from policies.stgraph.compiled.attention import Edges, Layer, LayerWeights, exchange, multiply, unexchange
-from policies.stgraph.compiled.edges import SPATIAL, TEMPORAL, Nodes, Singles, scene
+from policies.stgraph.compiled.attention import (
+    Edges,
+    LayerPass,
+    LayerWeights,
+    attention_layer,
+    attention_layer_backward,
+    multiply,
+)
+from policies.stgraph.compiled.edges import SPATIAL, TEMPORAL, NodeList, Singles, list_graph
 from policies.stgraph.compiled.relation_weights import Judged, Matter, judge, unjudge
 from policies.stgraph.config import StGraphConfig
 
 
-class Batch(NamedTuple):
+class GraphBatch(NamedTuple):
     """What the network sees of B observations."""
 
     tracks: Singles  # (B, K, T, 3) m
@@ -26,13 +33,13 @@ class Weights(NamedTuple):
     matter: Matter
 
 
-class Relation(NamedTuple):
+class RelationPass(NamedTuple):
     """What happened along the edges of one kind."""
 
-    nodes: Nodes
+    nodes: NodeList
     edges: Edges
-    first: Layer
-    second: Layer
+    first: LayerPass
+    second: LayerPass
     judged: Judged
 
     @property
@@ -45,13 +52,13 @@ class Relation(NamedTuple):
 class Pass(NamedTuple):
     """What happened on the way forward."""
 
-    spatial: Relation
-    temporal: Relation
+    spatial: RelationPass
+    temporal: RelationPass
     share: Floats  # (B, 1) of the spatial relation in the embedding
     embedding: Floats  # (B, D) h'_ego: Eq. (6)
 
 
-def forward(batch: Batch, config: StGraphConfig, weights: Weights) -> Pass:
+def forward(batch: GraphBatch, config: StGraphConfig, weights: Weights) -> Pass:
     """Two exchanges along each kind of edges, and the fusion of what the ego has heard: Eqs. (1) to (6)."""
     kinds = zip((SPATIAL, TEMPORAL), weights.layers, strict=True)
     spatial, temporal = (_relate(batch, kind, config, layers, weights.matter) for kind, layers in kinds)
@@ -61,12 +68,12 @@ def forward(batch: Batch, config: StGraphConfig, weights: Weights) -> Pass:
 
 
 def _relate(
-    batch: Batch, kind: int, config: StGraphConfig, layers: tuple[LayerWeights, LayerWeights], matter: Matter
-) -> Relation:
-    nodes, edges = scene(*batch, kind, config.position_scale, config.velocity)
-    first = exchange(edges, nodes.inputs, layers[0], config.attn_slope)
-    second = exchange(edges, np.maximum(first.heard, 0), layers[1], config.attn_slope)
-    return Relation(nodes, edges, first, second, judge(nodes.start, second.heard, matter))
+    batch: GraphBatch, kind: int, config: StGraphConfig, layers: tuple[LayerWeights, LayerWeights], matter: Matter
+) -> RelationPass:
+    nodes, edges = list_graph(*batch, kind, config.position_scale, config.velocity)
+    first = attention_layer(edges, nodes.inputs, layers[0], config.attn_slope)
+    second = attention_layer(edges, np.maximum(first.heard, 0), layers[1], config.attn_slope)
+    return RelationPass(nodes, edges, first, second, judge(nodes.start, second.heard, matter))
 
 
 def backward(done: Pass, slopes: Floats, config: StGraphConfig, weights: Weights, into: Weights) -> None:
@@ -82,13 +89,13 @@ def backward(done: Pass, slopes: Floats, config: StGraphConfig, weights: Weights
 
 
 def _unrelate(
-    done: Relation,
+    done: RelationPass,
     to_heard: Floats,
     slope: float,
     layers: tuple[LayerWeights, LayerWeights],
     into: tuple[LayerWeights, LayerWeights],
 ) -> None:
-    to_projected = unexchange(done.edges, done.second, layers[1], slope, to_heard, into[1])
+    to_projected = attention_layer_backward(done.edges, done.second, layers[1], slope, to_heard, into[1])
     to_inner = multiply(to_projected, np.ascontiguousarray(layers[1].project.T))
     to_inner *= done.second.inputs > 0
-    unexchange(done.edges, done.first, layers[0], slope, to_inner, into[0])
+    attention_layer_backward(done.edges, done.first, layers[0], slope, to_inner, into[0])

@@ -37,10 +37,10 @@ class _QuadModel(models.PrimitiveModel):
 _QUAD = _QuadType()
 
 # Calls leave out the first argument, which is numba's own.
-inlined: Callable[[Callable[..., Any]], Callable[..., Any]] = intrinsic
+in_caller: Callable[[Callable[..., Any]], Callable[..., Any]] = intrinsic
 
 
-@inlined
+@in_caller
 def load(typing: Any, array: Any, row: Any) -> Any:
     """The numbers 4 row to 4 row + 3 of an array, counted through all of its axes; nothing checks the bounds."""
 
@@ -50,7 +50,7 @@ def load(typing: Any, array: Any, row: Any) -> Any:
     return (_QUAD(array, types.intp), generate) if _holds_quads(array) else None
 
 
-@inlined
+@in_caller
 def store(typing: Any, array: Any, row: Any, quad: Any) -> Any:
     """Put four numbers where `load` would find them."""
 
@@ -61,7 +61,7 @@ def store(typing: Any, array: Any, row: Any, quad: Any) -> Any:
     return (types.void(array, types.intp, _QUAD), generate) if _holds_quads(array) else None
 
 
-@inlined
+@in_caller
 def fourfold(typing: Any, number: Any) -> Any:
     """The same number four times."""
 
@@ -72,7 +72,7 @@ def fourfold(typing: Any, number: Any) -> Any:
     return _QUAD(types.float64), generate
 
 
-@inlined
+@in_caller
 def positive(typing: Any, x: Any, yes: Any, no: Any) -> Any:
     """`yes` where x > 0, else `no`."""
 

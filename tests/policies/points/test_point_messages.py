@@ -9,40 +9,40 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cad_env.pipeline.varint import DecodeError
-from policies.points.feature_codec import LARGEST, read, written
-from policies.points.frames import CloudFrames, Seen, record_of, seen
+from policies.points.feature_codec import LARGEST, read_keypoints, write_keypoints
+from policies.points.frames import CloudFrames, Seen, packed_frames, seen
 from policies.points.point_transformer import POINT_TRANSFORMER
 
 RNG = np.random.default_rng(0)
 
 
 def a_message(keypoints: int = 5, width: int = 4) -> bytes:
-    return written(RNG.uniform(-100, 100, (keypoints, 3)), RNG.normal(size=(keypoints, width)))
+    return write_keypoints(RNG.uniform(-100, 100, (keypoints, 3)), RNG.normal(size=(keypoints, width)))
 
 
 def test_keypoints_come_back_to_the_centimetre_and_their_features_to_eleven_bits() -> None:
     position, features = RNG.uniform(-100, 100, (128, 3)), RNG.normal(0, 10, (128, 128))
-    payload = written(position, features)
+    payload = write_keypoints(position, features)
     assert len(payload) == 128 * (3 * 2 + 128 * 2) + 8
-    found = read(payload, 128, 128)
+    found = read_keypoints(payload, 128, 128)
     np.testing.assert_allclose(found[:, :3], position, rtol=0, atol=0.005 + 1e-9)
     np.testing.assert_allclose(found[:, 3:], features, rtol=2**-11, atol=2**-24)
 
 
 def test_what_two_bytes_cannot_hold_is_clipped() -> None:
-    found = read(written(np.array([[1e6, -1e6, 0]]), np.array([[1e9, -1e9]])), 1, 2)
+    found = read_keypoints(write_keypoints(np.array([[1e6, -1e6, 0]]), np.array([[1e9, -1e9]])), 1, 2)
     assert found.tolist() == [[327.67, -327.67, 0, LARGEST, -LARGEST]]
 
 
 def test_no_keypoints_are_a_message_too() -> None:
-    assert read(a_message(0), 128, 4).shape == (0, 7)
+    assert read_keypoints(a_message(0), 128, 4).shape == (0, 7)
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=120))
 def test_hostile_bytes_are_refused(noise: bytes) -> None:
     with pytest.raises(DecodeError):
-        read(noise, 128, 4)
+        read_keypoints(noise, 128, 4)
 
 
 @settings(max_examples=100, deadline=None)
@@ -51,20 +51,20 @@ def test_one_flipped_bit_is_found(bit: int) -> None:
     message = bytearray(a_message())
     message[bit // 8] ^= 1 << bit % 8
     with pytest.raises(DecodeError):
-        read(bytes(message), 128, 4)
+        read_keypoints(bytes(message), 128, 4)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 300.0])
 def test_numbers_that_are_none_are_refused_even_with_their_crc(value: float) -> None:
     body = struct.pack("<BBH", 1, 1, 1) + struct.pack("<3h", 0, 0, 0) + struct.pack("<2e", value, 0)
     with pytest.raises(DecodeError, match="does not write"):
-        read(body + struct.pack("<I", zlib.crc32(body)), 128, 2)
+        read_keypoints(body + struct.pack("<I", zlib.crc32(body)), 128, 2)
 
 
 @pytest.mark.parametrize(("most", "width"), [(4, 4), (128, 3), (128, 5)])
 def test_another_codecs_message_is_refused(most: int, width: int) -> None:
     with pytest.raises(DecodeError):
-        read(a_message(5, 4), most, width)
+        read_keypoints(a_message(5, 4), most, width)
 
 
 def looked(vehicles: int, points: int, room: int = 8) -> Seen:
@@ -75,7 +75,7 @@ def looked(vehicles: int, points: int, room: int = 8) -> Seen:
 
 def test_frames_give_back_the_clouds_that_were_looked_at() -> None:
     looks = [looked(1, 4), looked(3, 0), looked(2, 6)]
-    frames = CloudFrames(**record_of(looks, [0, 1, 0], vehicles=3))
+    frames = CloudFrames(**packed_frames(looks, [0, 1, 0], vehicles=3))
     assert len(frames) == 3
     numbers = np.array([2, 1, 2])
     batch = frames.batch(numbers)
@@ -92,7 +92,7 @@ def test_frames_give_back_the_clouds_that_were_looked_at() -> None:
 
 
 def test_joined_frames_are_these_and_then_the_others() -> None:
-    parts = [CloudFrames(**record_of([looked(2, 3), looked(1, 5)], [0, 1], 2)) for _ in range(3)]
+    parts = [CloudFrames(**packed_frames([looked(2, 3), looked(1, 5)], [0, 1], 2)) for _ in range(3)]
     whole = parts[0].joined(parts[1:])
     assert whole.label.tolist() == [0, 1] * 3
     for p, part in enumerate(parts):
@@ -112,6 +112,6 @@ def test_a_merged_frame_reads_as_the_observation_did() -> None:
 
 
 def test_sixty_thousand_frames_take_less_than_three_hundred_megabytes() -> None:
-    frames = CloudFrames(**record_of([looked(5, 124, 128)] * 100, [0] * 100, 5))
+    frames = CloudFrames(**packed_frames([looked(5, 124, 128)] * 100, [0] * 100, 5))
     size = sum(part.nbytes for part in vars(frames).values() if isinstance(part, np.ndarray))
     assert size * 600 < 300e6

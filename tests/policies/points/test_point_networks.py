@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from policies.points import compressed, point_transformer
 from policies.points.compressed import COMPRESSED, CompressedConfig, CompressedNet, LearnedFeatures
-from policies.points.layers import in_order
+from policies.points.layers import sorted_points
 from policies.points.neighbours import farthest, nearest
 from policies.points.point_transformer import POINT_TRANSFORMER, PointTransformerConfig, PointTransformerNet
 
@@ -62,7 +62,7 @@ def logits(network: nn.Module, batch: Mapping[str, NDArray[Any]]) -> Tensor:
 def test_neighbours_are_the_nearest_points_of_the_same_cloud() -> None:
     rng = np.random.default_rng(2)
     batch = merged([50, 3, 30])
-    grid, first, _ = in_order(batch["cloud"], batch["cloud_mask"])
+    grid, first, _ = sorted_points(batch["cloud"], batch["cloud_mask"])
     near = nearest(grid, first, 6)
     for b, i in [(0, int(rng.integers(50))), (1, 51), (2, 60), (2, 82)]:
         rows = np.arange(first[b], first[b + 1])
@@ -76,7 +76,7 @@ def test_neighbours_are_the_nearest_points_of_the_same_cloud() -> None:
 
 def test_one_point_in_four_is_kept_and_they_are_far_apart() -> None:
     batch = merged([64, 0, 5])
-    grid, first, _ = in_order(batch["cloud"], batch["cloud_mask"])
+    grid, first, _ = sorted_points(batch["cloud"], batch["cloud_mask"])
     kept, begin = farthest(grid, first, 4)
     assert begin.tolist() == [0, 16, 16, 18]
     assert (np.diff(kept[:16]) > 0).all()
@@ -186,7 +186,7 @@ def test_the_first_weights_are_a_function_of_the_seed() -> None:
 def test_the_sizes_of_the_papers_can_be_built_and_run() -> None:
     network = PointTransformerNet(point_transformer.PAPER_SIZE)
     assert logits(network, merged([200], room=256)).shape == (1, 2)
-    sender = LearnedFeatures(CompressedNet(compressed.PAPER_SIZE))
+    sender = LearnedFeatures(CompressedNet(compressed.COOPERNAUT_SIZE))
     payload = sender.encode([a_cloud(np.random.default_rng(7), 4000)])[0]
     assert sender.decode(payload).shape == (128, 131)
 

@@ -130,8 +130,8 @@ def test_what_has_ended_of_a_shard_survives_and_is_not_driven_again(
             if len(driven) == 4:
                 raise KeyboardInterrupt
 
-    played = demonstrations.play
-    monkeypatch.setattr(demonstrations, "play", watched)
+    played = demonstrations.play_episodes
+    monkeypatch.setattr(demonstrations, "play_episodes", watched)
     monkeypatch.setattr(demonstrations, "KEPT_EVERY", 0.0)
     with pytest.raises(KeyboardInterrupt):
         record(tmp_path, CADVectorEnv(2, radio="none"), None, range(6), lambda n: None)

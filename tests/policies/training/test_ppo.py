@@ -26,7 +26,7 @@ SCENES = ("left_turn", "overtaking")
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts of a few decisions."""
-    for name, value in (("ABREAST", 4), ("ROLLOUT", 8), ("PART", 32)):
+    for name, value in (("SCENES_AT_ONCE", 4), ("ROLLOUT", 8), ("PART", 32)):
         monkeypatch.setattr(ppo, name, value)
 
 

@@ -2,10 +2,12 @@
 
 python train.py                                      the main job, some minutes on two cores
 python train.py --scenario left_turn                 networks that know this scenario only
-python train.py --method gat collab-gat --seed 0 1 2    other rows of the table (baselines/methods.py), three times each
-python train.py --episodes 200 --corrections 0 --steps 600 --score 50 --out runs/quick     a quick look
+python train.py --method gat collab-gat --seed 0 1 2    other methods (baselines/methods.py), three times each
+python train.py --episodes 200 --dagger-rounds 0 --steps 600 --score 50 --out runs/quick     a quick look
 
-Interrupt it as you like: the same command goes on where it stopped.
+python train.py --method my_network:SPEC             a network of your own (docs/write-your-own.md)
+
+Run the same command to resume after an interruption.
 """
 
 import sys

@@ -1,1 +1,1 @@
-"""Who decides, learned: the network, what trains it, keeps it and drives with it. Only here is torch known."""
+"""Learned policies: networks, their training, their model folders. Only this package uses torch."""

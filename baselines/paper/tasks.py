@@ -1,4 +1,4 @@
-"""The tasks that make the paper's tables: record, train every row and seed, ask it, drive it, sweep; then put together.
+"""The tasks behind the paper's tables: record, train every method and seed, test it in open and closed loop, sweep.
 
 A task reads and writes files of its own, each whole or resuming where it stopped, so that tasks can be shared out
 among processes and, by shards, among machines with one file system.

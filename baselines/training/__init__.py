@@ -1,1 +1,1 @@
-"""How every learned method is trained."""
+"""Training of learned methods: the command, and the config of each method."""

@@ -58,7 +58,8 @@ class RelationLayer(nn.Module):
     r"""One graph attention layer over the edges of one relation, H heads of D numbers: Eqs. (2) and (3) of the paper.
 
     The heads are those of graph attention networks (Velickovic et al., ICLR 2018, https://arxiv.org/abs/1710.10903)
-    with edge attributes, as in `torch_geometric.nn.GATConv(edge_dim=1)`. For a target :math:`i` with sources :math:`N(i)`,
+    with edge attributes, as in `torch_geometric.nn.GATConv(edge_dim=1)`. For a target :math:`i` with sources
+    :math:`N(i)`,
 
     .. math::
         \alpha_{ij} = \mathrm{softmax}_{j \in N(i)} \left( \mathrm{LeakyReLU} \left(

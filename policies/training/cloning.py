@@ -26,8 +26,8 @@ NEEDLESS_COST = 0.1  # failures that a needless brake is as bad as
 def balanced(labels: Mapping[str, Ints], config: TrainingConfig, rng: np.random.Generator) -> Iterator[dict[str, Ints]]:
     """Endless batches of frame numbers: equally many of every scenario, a fixed share of them with the expert braking.
 
-    Without the share most frames say "go", and the clone learns to; without the balance it learns the scenario whose
-    episodes are long. The batch is rounded to a multiple of the scenarios.
+    In most frames the expert goes, so without the share the network would learn to go always; without the balance it
+    would learn mostly from the scenario with long episodes. The batch is rounded to a multiple of the scenarios.
     """
     of_brake, of_go = config.frames_of_each(len(labels))
     kinds = {name: (np.flatnonzero(of == BRAKE), np.flatnonzero(of != BRAKE)) for name, of in labels.items()}
@@ -54,7 +54,7 @@ def fit(
 ) -> float:
     """Take the steps numbered `steps` of a run of `total` on the frames of every scenario; return their mean loss.
 
-    One cosine goes over all rounds: a rate that rises again with every round costs precision that is not regained.
+    One cosine spans all rounds: a rate that rises again in every round costs precision that is never regained.
     """
     network.train()
     batches = balanced({name: of.label for name, of in frames.items()}, config, rng)
@@ -84,8 +84,8 @@ def _gathered(frames: Mapping[str, Frames], chosen: Mapping[str, Ints]) -> tuple
 class Worth:
     """What a policy is worth on validation episodes of its own; less is better.
 
-    A needless brake counts a tenth of a failure. By failures alone a policy would win that brakes in every episode, or
-    whom chance has spared one collision in hundreds; by time alone, one that dares too much.
+    A needless brake counts a tenth of a failure. By failures alone, the best would be a policy that brakes in every
+    episode, or one that was lucky once in hundreds; by time alone, a reckless one.
     """
 
     failures: int  # collisions and timeouts

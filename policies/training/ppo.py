@@ -2,8 +2,8 @@
 
 Schulman, Wolski, Dhariwal, Radford and Klimov, "Proximal policy optimization algorithms", 2017. The actor is the
 paper's network, so what is saved is a model as any other; the critic, a small network on the same embedding, is
-forgotten. The reward is the environment's own. Training goes in parts of `PART` decisions: a killed run goes on after
-the last one it finished, and each part draws its chance from (seed, part), so stopping changes nothing.
+forgotten. The reward is the environment's own. Training goes in parts of `PART` decisions: a killed run resumes
+after the last one it finished. Each part draws its random numbers from (seed, part), so stopping changes nothing.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -80,7 +80,7 @@ def train_ppo(
 ) -> None:
     """Learn from `steps` decisions, rounded up to whole parts, of scenes of all scenarios; save a model in `folder`.
 
-    Goes on where it stopped; `advance` is told of decisions as they are done.
+    Resumes where it stopped; `advance` is told of decisions as they are done.
     """
     config = config or PpoConfig()
     check_range("steps", steps, 1, 10**9)

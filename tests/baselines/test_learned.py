@@ -10,7 +10,7 @@ from torch.nn.functional import cross_entropy
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
 from baselines.methods import LEARNED, SHARED, learned_named, method_named
-from baselines.training.config import training_config
+from baselines.training.config import TrainingTask, claim_folder, training_config
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
 from policies.model_folder import SavedModel, save_model
@@ -123,3 +123,43 @@ def test_a_checkpoint_of_another_row_is_refused(tmp_path: Path) -> None:
     save_state(tmp_path / "state", networks[0], torch.optim.Adam(networks[0].parameters()), 0.25)
     with pytest.raises(ValueError, match="not a checkpoint of this network"):
         load_state(tmp_path / "state", networks[1], torch.optim.Adam(networks[1].parameters()))
+
+
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, arguments: str) -> str:
+    """The name of a network spec in a new module of the current folder."""
+    (tmp_path / f"{module}.py").write_text(
+        "from policies.command import CommandConfig, CommandNet\n"
+        "from policies.observation_spec import ObservationSpec\n"
+        f"SPEC = ObservationSpec({module!r}, CommandConfig, lambda config: CommandNet(config, 0), {arguments})\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    return f"{module}:SPEC"
+
+
+def test_a_network_from_outside_says_how_it_is_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    training = "training={'batch': 48, 'depth': 2}, shares='nothing'"
+    name = outside(tmp_path, monkeypatch, "own_network_alone", training)
+    made = training_config(learned_named(name), RUN)
+    assert (made.batch, made.depth, made.radio, made.steps, made.spec) == (48, 2, "none", RUN["steps"], name)
+    assert not method_named(name).shares
+    assert method_named(name).depth == 2
+
+
+def test_a_network_from_outside_that_asks_for_what_there_is_not_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ValueError, match=r"must share one of nothing, graph, .*, got 'grahp'"):
+        learned_named(outside(tmp_path, monkeypatch, "own_network_grahp", "shares='grahp'"))
+    name = outside(tmp_path, monkeypatch, "own_network_bacth", "training={'bacth': 48}")
+    with pytest.raises(ValueError, match=r"unknown training setting 'bacth' of own_network_bacth:SPEC: choose among"):
+        training_config(learned_named(name), RUN)
+
+
+def test_a_folder_of_a_network_from_outside_is_of_its_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = outside(tmp_path, monkeypatch, "own_network_edited", "keys=('command',)")
+    task = TrainingTask(name, training_config(learned_named(name), RUN), tmp_path / "model", tmp_path)
+    claim_folder(task)
+    claim_folder(task)
+    outside(tmp_path, monkeypatch, "own_network_edited", "keys=('command', 'ego')")
+    with pytest.raises(ValueError, match="another source of own_network_edited:SPEC"):
+        claim_folder(task)

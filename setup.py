@@ -16,7 +16,9 @@ from setuptools.command.build_py import build_py
 HOME = "cad_learning"
 MOVED = ("policies", "baselines")
 DATA = ["py.typed", "weights/**/*.safetensors", "weights/**/*.json"]
+EDITABLE = {"editable_wheel", "develop"}  # the commands of setuptools that leave packages where they are
 _MODULE = re.compile(rf"({'|'.join(MOVED)})(\.[A-Za-z_]\w*)+")
+_PART = re.compile(rf"({'|'.join(MOVED)})\.\S*")
 
 
 def rewritten(source: str, name: str = "") -> str:
@@ -38,7 +40,7 @@ def rewritten(source: str, name: str = "") -> str:
             edits.append((node.lineno, node.col_offset, old, new))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _MODULE.fullmatch(node.value):
             edits.append((node.lineno, node.col_offset, f'"{node.value}"', f'"{HOME}.{node.value}"'))
-        elif isinstance(node, ast.JoinedStr) and _starts_a_module(node):
+        elif _is_part_of_a_name(node):
             raise ValueError(f"{name} line {node.lineno}: the name of a moved module must be a whole string")
     for number, column, old, new in sorted(edits, reverse=True):
         line = lines[number - 1]
@@ -52,9 +54,17 @@ def _is_moved(module: str) -> bool:
     return module.partition(".")[0] in MOVED
 
 
-def _starts_a_module(text: ast.JoinedStr) -> bool:
-    first = text.values[0] if text.values else None
-    return isinstance(first, ast.Constant) and re.match(rf"({'|'.join(MOVED)})\.", str(first.value)) is not None
+def _is_part_of_a_name(node: ast.AST) -> bool:
+    """Whether a string starts like a module's name but is put together, or holds more than the name."""
+    if isinstance(node, ast.JoinedStr):
+        first = node.values[0] if node.values else None
+        return isinstance(first, ast.Constant) and _PART.match(str(first.value)) is not None
+    return isinstance(node, ast.Constant) and isinstance(node.value, str) and _PART.fullmatch(node.value) is not None
+
+
+def is_editable(arguments: list[str]) -> bool:
+    """Whether the arguments of a build ask for an editable install; a folder of any name among them does not."""
+    return not EDITABLE.isdisjoint(arguments)
 
 
 class BuildPy(build_py):
@@ -73,7 +83,7 @@ def main() -> None:
     """Called by every build."""
     ours = find_packages(include=["cad_env", "cad_env.*"])
     moved = find_packages(include=[pattern for name in MOVED for pattern in (name, f"{name}.*")])
-    if any("editable" in word or word == "develop" for word in sys.argv):
+    if is_editable(sys.argv):
         setup(packages=[*ours, *moved], package_data=dict.fromkeys(("cad_env", *MOVED), DATA))
         return
     setup(

@@ -8,7 +8,10 @@ import sys
 from importlib import import_module
 from importlib.util import find_spec
 
-MISSING = "error: this command needs what the extra 'learning' installs: pip install 'cad-env[learning]'"
+_LEARNING = (
+    "cad_learning", "baselines", "policies", "matplotlib", "safetensors", "stable_baselines3", "torch", "tqdm", "tyro",
+)  # fmt: skip
+EXTRAS = {**dict.fromkeys(_LEARNING, "learning"), "ray": "ray"}  # top-level module -> the extra that brings it
 
 
 def train() -> int:
@@ -32,12 +35,14 @@ def demo() -> int:
 
 
 def _run(module: str) -> int:
-    """Call the `main` of a module, wherever its package is installed; 2 if it or something that it needs is missing."""
+    """Call the `main` of a module, wherever its package is installed; 2 if what an extra brings is missing."""
     installed = find_spec("cad_learning") is not None
     try:
-        main = import_module(f"cad_learning.{module}" if installed else module).main
-        code: int = main()
+        code: int = import_module(f"cad_learning.{module}" if installed else module).main()
     except ModuleNotFoundError as error:
-        print(f"{MISSING} ({error})", file=sys.stderr)
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:  # not ours to explain: a module of the user's own, for example
+            raise
+        print(f"error: this command needs an extra: pip install 'cad-env[{extra}]' ({error})", file=sys.stderr)
         return 2
     return code

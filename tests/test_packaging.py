@@ -4,9 +4,12 @@ import re
 from importlib.metadata import requires
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from packaging.requirements import Requirement
+
+import cad_env
 
 ROOT = Path(__file__).parent.parent
 PINS = [
@@ -44,13 +47,25 @@ def test_the_first_screen_has_two_commands_that_set_themselves_up_and_the_demo()
     ]
 
 
-def rewritten(source: str) -> str:
+def test_the_citation_names_this_version() -> None:
+    (version,) = re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert version == cad_env.__version__
+
+
+def setup_script() -> ModuleType:
     spec = spec_from_file_location("cad_env_setup", ROOT / "setup.py")
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
-    answer: str = module.rewritten(source)
+    return module
+
+
+SETUP = setup_script()
+
+
+def rewritten(source: str) -> str:
+    answer: str = SETUP.rewritten(source)
     return answer
 
 
@@ -75,7 +90,17 @@ def test_imports_are_adapted_on_their_way_into_a_wheel(source: str, wanted: str)
 
 
 @pytest.mark.parametrize(
-    "source", ["import policies.spec\n", "import os, policies\n", 'f"policies.{1}"\n', "x = 'policies.spec'\n"]
+    "source",
+    [
+        "import policies.spec\n",
+        "import os, policies\n",
+        "from  policies import spec\n",
+        'f"policies.{1}"\n',
+        "x = 'policies.spec'\n",
+        'x = "policies." + name\n',
+        'x = "policies.spec:SPEC"\n',
+        'x = "policies." "spec"\n',
+    ],
 )
 def test_what_cannot_be_adapted_fails_the_build(source: str) -> None:
     with pytest.raises(ValueError, match="line 1"):
@@ -86,3 +111,17 @@ def test_all_modules_can_be_adapted() -> None:
     for package in ("policies", "baselines"):
         for path in (ROOT / package).rglob("*.py"):
             assert not re.search(r"^\s*(from|import) (policies|baselines)\b", rewritten(path.read_text()), re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "editable"),
+    [
+        (["editable_wheel", "--dist-info-dir", "meta"], True),
+        (["develop"], True),
+        (["bdist_wheel", "--dist-dir", "/tmp/an-editable-folder/.tmp-1"], False),
+        (["bdist_wheel", "--dist-dir", "/tmp/develop"], False),
+        (["sdist"], False),
+    ],
+)
+def test_only_an_editable_install_leaves_packages_where_they_are(arguments: list[str], editable: bool) -> None:
+    assert SETUP.is_editable(["setup.py", *arguments]) is editable

@@ -13,7 +13,7 @@ from cad_env.types import Bools, Command, Floats, Ints
 from cad_env.world.drivers import SIDE_MARGIN
 from cad_env.world.state import OFF, STANDING, Routes, World
 
-BEYOND = 25.0  # m past its manoeuvre, or past the ego's way, where a vehicle other than the ego has arrived
+_BEYOND = 25.0  # m past its manoeuvre, or past the ego's way, where a vehicle other than the ego has arrived
 NEAR = 8.0  # m from the ego's way, within which the two have to do with each other
 WITHIN = 20.0  # s at the speed it wants: no goal is farther away, so that 30 s are enough for an undisturbed vehicle
 
@@ -82,7 +82,7 @@ def _goal(world: World, routes: Routes, row: int, ego_way: Floats) -> float:
         ahead = _way(world, routes, row, length)
         gap = np.hypot(*(ahead[:, None] - ego_way[None]).transpose(2, 0, 1)).min(axis=1)
         busy = int(start / routes.spacing) + np.flatnonzero(gap < NEAR)
-    goal = busy[-1] * routes.spacing + BEYOND if len(busy) else length
+    goal = busy[-1] * routes.spacing + _BEYOND if len(busy) else length
     if goal <= start:
         goal = length
     return float(min(goal, length, start + WITHIN * world.target_speed[row]))

@@ -11,7 +11,7 @@ from cad_env.types import Floats
 from cad_env.world.state import OFF, Routes, World
 from cad_env.world.step import substep
 
-EGO_COLOUR, CONNECTED_COLOUR, OTHER_COLOUR, CRASHED_COLOUR = (
+_EGO_COLOUR, CONNECTED_COLOUR, OTHER_COLOUR, CRASHED_COLOUR = (
     (50, 200, 0),
     (100, 200, 255),
     (200, 200, 0),
@@ -117,7 +117,7 @@ class WorldRoad(Road):
         colours = [OTHER_COLOUR] * len(world.speed)
         for row in connected:
             colours[row] = CONNECTED_COLOUR
-        colours[connected[0]] = EGO_COLOUR
+        colours[connected[0]] = _EGO_COLOUR
         self.rows = [RowVehicle(self, row, colour) for row, colour in enumerate(colours)]
 
     @property

@@ -20,7 +20,7 @@ from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
 from cad_env.simulation.setup import setup_from
 from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
 
-Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
+_Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
 
 
 class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
@@ -90,7 +90,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         self._started = True
         return self._observations(), self._infos(which)
 
-    def step(self, actions: Ints) -> Step:
+    def step(self, actions: Ints) -> _Step:
         """Decide in every scene, GO or BRAKE, (num_envs,); what happens to ended episodes is the autoreset mode's."""
         self._check_started()
         chosen = _checked_actions(actions, self.num_envs)

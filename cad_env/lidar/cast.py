@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.lidar.points import REACH, nearest_cm
+from cad_env.lidar.points import POINT_REACH, nearest_cm
 from cad_env.numerics.jit import compiled, inlined_part
 from cad_env.numerics.philox import normals_and_uniform
 from cad_env.pipeline.sense import CENTRE_HEIGHT, MOUNT, Sensing
@@ -184,4 +184,4 @@ def _said(coordinate: float, whole: bool) -> float:
 @inlined_part
 def _fits(x: float, y: float, whole: bool) -> bool:
     """Whether what is written of a place (m) can be; no vehicle is too high."""
-    return not whole or (abs(x) <= REACH and abs(y) <= REACH)
+    return not whole or (abs(x) <= POINT_REACH and abs(y) <= POINT_REACH)

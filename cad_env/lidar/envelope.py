@@ -25,7 +25,7 @@ _HEAD = struct.Struct("<2sBHIiii")
 _CRC = struct.Struct("<I")
 _CENTIMETRE, _MICRORADIAN = 0.01, 1e-6
 _HALF_TURN = int(math.pi / _MICRORADIAN)
-SIZE = _HEAD.size + _CRC.size  # bytes that an envelope adds
+ENVELOPE_SIZE = _HEAD.size + _CRC.size  # bytes that an envelope adds
 
 
 class Envelope(NamedTuple):
@@ -54,7 +54,7 @@ def opened(message: bytes) -> Envelope:
     >>> opened(seal(Envelope(3, 1.5, (10.0, -2.25, 0.5), b"points")))
     Envelope(sender=3, time=1.5, pose=(10.0, -2.25, 0.5), content=b'points')
     """
-    if not SIZE <= len(message) <= LIMIT:
+    if not ENVELOPE_SIZE <= len(message) <= LIMIT:
         raise DecodeError(f"message of {len(message)} bytes refused: no envelope of points is so long")
     magic, version, sender, time_ms, x, y, heading = _HEAD.unpack_from(message)
     if magic != _MAGIC or version != VERSION:

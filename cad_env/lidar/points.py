@@ -22,8 +22,8 @@ KEPT = 128  # points that thinning leaves unless asked otherwise
 GROUND = 0.2  # m, up to which a return is the road's
 VOXEL = 100  # cm, the edge of the cube that keeps one point
 MOST_POINTS = 2**20  # points of a cloud
-REACH = 327.67  # m, the largest coordinate of two bytes of centimetres
-TOO_LARGE = f"coordinates of a cloud must be from {-REACH:g} to {REACH:g} m"
+POINT_REACH = 327.67  # m, the largest coordinate of two bytes of centimetres
+TOO_LARGE = f"coordinates of a cloud must be from {-POINT_REACH:g} to {POINT_REACH:g} m"
 
 _COUNT = 4  # bytes
 _POINT = 6  # bytes
@@ -110,12 +110,12 @@ def relative(pose: Sequence[float] | Floats, to: Sequence[float] | Floats) -> tu
 
 @compiled
 def _to_centimetres(cloud: Floats, units: Ints) -> bool:
-    """Fill units (n, 3) int16; False if a coordinate of the cloud is beyond REACH, or no number."""
+    """Fill units (n, 3) int16; False if a coordinate of the cloud is beyond POINT_REACH, or no number."""
     fits = True
     for i in range(cloud.shape[0]):
         for axis in range(3):
             value = cloud[i, axis]
-            inside = abs(value) <= REACH
+            inside = abs(value) <= POINT_REACH
             fits &= inside
             units[i, axis] = int(nearest_cm(value)) if inside else 0
     return fits

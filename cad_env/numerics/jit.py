@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import config as numba_config
 
-PACKAGE = Path(__file__).parent.parent  # cad_env
+_PACKAGE = Path(__file__).parent.parent  # cad_env
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -75,14 +75,14 @@ def _package(function: Callable[..., Any]) -> Path:
     module = sys.modules[function.__module__.partition(".")[0]]
     if hasattr(module, "__path__"):
         return Path(next(iter(module.__path__)))
-    return Path(module.__file__).parent if module.__file__ else PACKAGE
+    return Path(module.__file__).parent if module.__file__ else _PACKAGE
 
 
 @cache
-def cache_folder(package: Path = PACKAGE) -> Path:
+def cache_folder(package: Path = _PACKAGE) -> Path:
     """The folder of machine code that belongs to exactly this version of the sources in `package` and here."""
     digest = hashlib.sha256()
-    for folder in sorted({package, PACKAGE}):
+    for folder in sorted({package, _PACKAGE}):
         for source in sorted(folder.rglob("*.py")):
             digest.update(source.read_bytes())
     name = digest.hexdigest()[:16]

@@ -74,8 +74,8 @@ def max_bytes(tracks: int) -> int:
 MAX_BYTES = max_bytes(MAX_TRACKS)
 
 # What `read` answers, and why it refuses. 1 to 3 are the reasons of `codec_bits`.
-ACCEPTED, FORMAT, CORRUPT, CAPACITY, NO_NODE, IDENTITY, SPELLING, TRAILING = 0, 4, 5, 6, 7, 8, 9, 10
-REASONS = (
+DECODED, FORMAT, CORRUPT, CAPACITY, NO_NODE, IDENTITY, SPELLING, TRAILING = 0, 4, 5, 6, 7, 8, 9, 10
+DECODE_REASONS = (
     "accepted",
     "it ends too early",
     "a varint longer than its value needs",
@@ -123,13 +123,13 @@ def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: GraphArray
 
 @compiled
 def read(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> int:
-    """Read buffer[:length] into `header`, (3,) int64 sender, time in ms and depth, and `rows`; answers ACCEPTED.
+    """Read buffer[:length] into `header`, (3,) int64 sender, time in ms and depth, and `rows`; answers DECODED.
 
-    Any other answer is an index of REASONS and leaves no row in use. Absent nodes get position 0.
+    Any other answer is an index of DECODE_REASONS and leaves no row in use. Absent nodes get position 0.
     """
     rows.used[0] = 0
     status = _check_envelope(buffer, length)
-    if status != ACCEPTED:
+    if status != DECODED:
         return status
     tracks = int(buffer[5])
     if tracks > rows.track.shape[0]:
@@ -144,7 +144,7 @@ def read(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> int:
     if at != end:
         return TRAILING
     rows.used[0] = tracks
-    return ACCEPTED
+    return DECODED
 
 
 @compiled_part
@@ -156,7 +156,7 @@ def _check_envelope(buffer: Bytes, length: int) -> int:
         return FORMAT
     if crc32(buffer, length - _CRC) != take_fixed(buffer, length - _CRC, _CRC):
         return CORRUPT
-    return ACCEPTED
+    return DECODED
 
 
 @compiled_part
@@ -211,8 +211,8 @@ def decode(payload: bytes) -> Graph:
     buffer, header = np.array(bytearray(payload), np.uint8), np.zeros(3, np.int64)
     rows = empty_graph_arrays(rows=FORMAT_TRACKS)
     status = read(buffer, len(payload), header, rows)
-    if status != ACCEPTED:
-        raise DecodeError(f"message of {len(payload)} bytes refused: {REASONS[status]}")
+    if status != DECODED:
+        raise DecodeError(f"message of {len(payload)} bytes refused: {DECODE_REASONS[status]}")
     return as_graph(rows, int(header[0]), int(header[1]) / 1000.0)
 
 

@@ -15,7 +15,7 @@ from cad_env.pipeline.graph_arrays import flat_positions, row_of
 from cad_env.types import FRAMES, Floats, GraphArrays
 from cad_env.world.geometry import within
 
-GATE = 2.5  # m; closer than two vehicles can be, wider than two trackers disagree
+MERGE_GATE = 2.5  # m; closer than two vehicles can be, wider than two trackers disagree
 EGO_RADIUS = 2.0  # m around itself in which the ego takes no node for another vehicle (the paper's rule)
 
 
@@ -58,7 +58,7 @@ def take_in(merged: GraphArrays, weight: Floats, rows: GraphArrays, first: int, 
     for g in range(known):
         for i in range(first, count):
             cost[g, i - first] = _disagreement(merged, weight, g, rows, i)
-    assign(cost, known, max(count - first, 0), GATE, found)
+    assign(cost, known, max(count - first, 0), MERGE_GATE, found)
     for g in range(known):
         if found[g] >= 0:
             match[first + found[g]] = g
@@ -85,7 +85,7 @@ def _disagreement(merged: GraphArrays, weight: Floats, g: int, rows: GraphArrays
             dx = merged.position[g, t, 0] - rows.position[i, t, 0]
             dy = merged.position[g, t, 1] - rows.position[i, t, 1]
             total += dx * dx + dy * dy
-            if total > GATE * GATE * FRAMES:  # no number of further frames brings the mean below the gate
+            if total > MERGE_GATE * MERGE_GATE * FRAMES:  # no number of further frames brings the mean below the gate
                 return math.inf
             common += 1
     return math.sqrt(total / common) if common > 0 else math.inf

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.numerics.jit import inlined_part
-from cad_env.pipeline.codec import ACCEPTED as READ
+from cad_env.pipeline.codec import DECODED as READ
 from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide

@@ -15,7 +15,7 @@ from cad_env.numerics.jit import compiled, compiled_part, inlined_part
 from cad_env.types import MAX_TRACKS, STEP, Bools, Floats, Ints
 from cad_env.world.geometry import within
 
-GATE = 3.0  # m; 18 m/s is 1.8 m a frame, so a newborn track of unknown velocity still finds its next detection
+_GATE = 3.0  # m; 18 m/s is 1.8 m a frame, so a newborn track of unknown velocity still finds its next detection
 BIRTH_HITS = 3  # detections before a track counts
 TENTATIVE_MISSES = 1  # misses in a row that end a track before it counts ...
 MAX_MISSES = 10  # ... and after: 1 s, about what a passing vehicle hides another for
@@ -73,8 +73,8 @@ def update(tracks: Tracks, position: Floats, kind: Ints, found: int, noise: floa
         _predict(tracks, i)
         for j in range(found):
             dx, dy = position[j, 0] - tracks.mean[i, 0], position[j, 1] - tracks.mean[i, 1]
-            cost[i, j] = math.hypot(dx, dy) if within(dx, dy, GATE) else math.inf
-    assign(cost, rows, found, GATE, match)
+            cost[i, j] = math.hypot(dx, dy) if within(dx, dy, _GATE) else math.inf
+    assign(cost, rows, found, _GATE, match)
     variance = max(noise, LEAST_NOISE) ** 2
     taken = np.zeros(MAX_TRACKS, np.bool_)
     for i in range(rows):

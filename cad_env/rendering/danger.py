@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cad_env.pipeline.merge import GATE
+from cad_env.pipeline.merge import MERGE_GATE
 from cad_env.rendering.canvas import BLACK, Canvas, Tag
 from cad_env.rendering.layers import EGO_SEES, OTHERS_SEE, SEEN_COLOURS, STOP_COLOUR, who_sees
 from cad_env.simulation.simulation import Simulation
@@ -15,7 +15,9 @@ RECENT = 5  # newest frames, one of which must have a node for a track to be of 
 def ends_at(simulation: Simulation, graph: Graph, row: int) -> bool:
     """True if a track of a graph ends, within the last frames, at a vehicle."""
     place = simulation.world.position[row]
-    reach = GATE + STEP * simulation.world.speed[row] * np.arange(RECENT)[::-1]  # how far it went since that frame
+    reach = (
+        MERGE_GATE + STEP * simulation.world.speed[row] * np.arange(RECENT)[::-1]
+    )  # how far it went since that frame
     away = np.hypot(*np.moveaxis(graph.position[:, -RECENT:, :2] - place, -1, 0))
     return bool((graph.mask[:, -RECENT:] & (away < reach)).any())
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cad_env.pipeline.merge import GATE
+from cad_env.pipeline.merge import MERGE_GATE
 from cad_env.pipeline.radio import LOST, REACHES
 from cad_env.rendering.bodies import crossed, draw_body, draw_burst
 from cad_env.rendering.canvas import BLACK, PANEL, WHITE, Canvas, Colour, Tag
@@ -93,7 +93,7 @@ def _seen_itself(merged: Graph, own: Graph) -> Bools:
     for k in range(len(merged.track)):
         both = merged.mask[k] & own.mask[1:]
         away = np.hypot(*np.moveaxis(merged.position[k] - own.position[1:], -1, 0)[:2])
-        mine[k] = bool((both & (away < GATE)).any())
+        mine[k] = bool((both & (away < MERGE_GATE)).any())
     return mine
 
 

@@ -8,8 +8,8 @@ from cad_env.rendering.bodies import WAVE
 from cad_env.rendering.canvas import BLACK, PANEL, WHITE, Canvas, Colour
 from cad_env.rendering.layers import LINK_COLOUR, LOST_COLOUR, SEEN_COLOURS, SHADE
 
-ROW, SIZE, WIDTH = 16.0, 11, 150.0  # pixels
-HIGHEST = 0.34  # of the picture's height; more marks stand in a further column
+ROW, _SIZE, WIDTH = 16.0, 11, 150.0  # pixels
+_HIGHEST = 0.34  # of the picture's height; more marks stand in a further column
 
 Entry = tuple[str, str, Colour]  # kind of mark, words, colour
 ENTRIES: dict[str, tuple[Entry, ...]] = {
@@ -30,7 +30,7 @@ def draw_legend(canvas: Canvas, layers: Sequence[str]) -> None:
     entries = [entry for name, some in ENTRIES.items() if name in layers for entry in some]
     if not entries:
         return
-    rows = min(len(entries), int(canvas.size[1] * HIGHEST / ROW))
+    rows = min(len(entries), int(canvas.size[1] * _HIGHEST / ROW))
     columns = -(-len(entries) // rows)
     width, height = columns * WIDTH, ROW * rows + 8
     left, top = 8.0, canvas.size[1] - height - 8
@@ -38,7 +38,7 @@ def draw_legend(canvas: Canvas, layers: Sequence[str]) -> None:
     for k, (kind, words, colour) in enumerate(entries):
         x, y = left + 8 + WIDTH * (k // rows), top + 4 + ROW * (k % rows + 0.5)
         _draw_mark(canvas, kind, x, y, colour)
-        canvas.letters(x + 26, y, words, WHITE, SIZE)
+        canvas.letters(x + 26, y, words, WHITE, _SIZE)
 
 
 def _draw_mark(canvas: Canvas, kind: str, x: float, y: float, colour: Colour) -> None:

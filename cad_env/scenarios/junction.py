@@ -7,11 +7,11 @@ from highway_env.road.road import RoadNetwork
 from cad_env.scenarios.routes import RoutePlan
 from cad_env.types import Command, Floats
 
-LANE = 3.5  # m wide
+_LANE = 3.5  # m wide
 STOP_LINE = 12.0  # m from the centre: two lanes, a kerb and a crosswalk
 ARM = 250.0  # m from the centre to the end of an arm
 LEFT, THROUGH = 0, 1  # lanes of an approach, from the middle of the road outwards
-TURN_RADIUS = STOP_LINE + LANE / 2
+TURN_RADIUS = STOP_LINE + _LANE / 2
 
 ARMS = ("south", "east", "north", "west")  # where a vehicle comes from, counter-clockwise
 
@@ -24,19 +24,19 @@ def junction_network() -> RoadNetwork:
         turn = _quarter_turn(quarter)
         across, leftward = ARMS[(quarter + 2) % 4], ARMS[(quarter - 1) % 4]
         for lane in (LEFT, THROUGH):
-            x = LANE * (lane + 0.5)
+            x = _LANE * (lane + 0.5)
             # highway-env paints the side of its negative lateral axis first: in our axes that is the right.
             lines = [dashed, solid] if lane == LEFT else [solid, none]
             network.add_lane(
-                f"{arm}_far", f"{arm}_line", StraightLane(turn @ [x, -ARM], turn @ [x, -STOP_LINE], LANE, lines)
+                f"{arm}_far", f"{arm}_line", StraightLane(turn @ [x, -ARM], turn @ [x, -STOP_LINE], _LANE, lines)
             )
             network.add_lane(
-                f"{across}_out", f"{across}_end", StraightLane(turn @ [x, STOP_LINE], turn @ [x, ARM], LANE, lines)
+                f"{across}_out", f"{across}_end", StraightLane(turn @ [x, STOP_LINE], turn @ [x, ARM], _LANE, lines)
             )
             network.add_lane(
                 f"{arm}_line",
                 f"{across}_out",
-                StraightLane(turn @ [x, -STOP_LINE], turn @ [x, STOP_LINE], LANE, [none, none]),
+                StraightLane(turn @ [x, -STOP_LINE], turn @ [x, STOP_LINE], _LANE, [none, none]),
             )
         angle = quarter * np.pi / 2
         network.add_lane(
@@ -45,7 +45,7 @@ def junction_network() -> RoadNetwork:
             # highway-env's "clockwise" is on its screen, whose y axis points down; in our axes the arc turns left.
             CircularLane(
                 turn @ [-STOP_LINE, -STOP_LINE], TURN_RADIUS, angle, angle + np.pi / 2,
-                clockwise=True, width=LANE, line_types=[none, none],
+                clockwise=True, width=_LANE, line_types=[none, none],
             ),
         )  # fmt: skip
     return network

@@ -14,8 +14,8 @@ from cad_env.types import CAR, TRUCK
 from cad_env.world.state import OFF, SCRIPTED, STANDING
 
 ARC = 0.5 * math.pi * TURN_RADIUS  # m of the ego's turn
-LINE = ARM - STOP_LINE  # m along every route to its stop line
-SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
+LEFT_TURN_LINE = ARM - STOP_LINE  # m along every route to its stop line
+_SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
 
 
 @dataclass(frozen=True)
@@ -35,18 +35,18 @@ class LeftTurnRanges(Ranges):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_road(self, self.ego_start[1] + 0.5 * ARC, SLOW_START, ARM)
+        check_road(self, self.ego_start[1] + 0.5 * ARC, _SLOW_START, ARM)
 
 
 def actors(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator, hazard: bool) -> Actors:
     """The ego, the truck, the vehicle in the hidden lane, and two that wait in the west and see past the truck."""
     target = rng.uniform(*ranges.ego_speed)
-    start = LINE - rng.uniform(*ranges.ego_start)
-    ego = Placement(junction.route("south_left"), start, target * rng.uniform(SLOW_START, 1.0), target)
+    start = LEFT_TURN_LINE - rng.uniform(*ranges.ego_start)
+    ego = Placement(junction.route("south_left"), start, target * rng.uniform(_SLOW_START, 1.0), target)
     truck = _truck(junction, ranges, rng)
     hidden, timing = _hidden(junction, ranges, rng, hazard, ego)
-    waiting = [queue(rng, junction.route(name), LINE, 1)[0] for name in ("west_left", "west_through")]
-    return Actors((ego, truck, hidden, *waiting), (OCCLUDER, 3, 4), LINE + ARC + 25.0, timing)
+    waiting = [queue(rng, junction.route(name), LEFT_TURN_LINE, 1)[0] for name in ("west_left", "west_through")]
+    return Actors((ego, truck, hidden, *waiting), (OCCLUDER, 3, 4), LEFT_TURN_LINE + ARC + 25.0, timing)
 
 
 def _truck(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator) -> Placement:
@@ -83,14 +83,16 @@ def background(junction: Map, actors: Actors, rng: np.random.Generator) -> Group
     gone = hidden.target_speed + rng.uniform(0.5, 3.0)
     return [
         *(queue_behind(rng, waiting, 2) for waiting in actors.vehicles[3:]),
-        queue(rng, junction.route("east_left"), LINE, 2),
-        queue(rng, junction.route("east_through"), LINE, 3),
+        queue(rng, junction.route("east_left"), LEFT_TURN_LINE, 2),
+        queue(rng, junction.route("east_through"), LEFT_TURN_LINE, 3),
         queue_behind(rng, truck, 2),
         stream(
             rng, junction.route("south_through"), ego.progress + rng.uniform(-10.0, 50.0), rng.uniform(8.0, 12.0), 3
         ),
         stream(rng, ego.route, ego.progress - rng.uniform(12.0, 25.0), ego.target_speed, 2, (14.0, 25.0)),
-        stream(rng, ego.route, LINE + ARC + rng.uniform(30.0, 50.0), leaving, 2, (20.0, 25.0), bystander=True),
+        stream(
+            rng, ego.route, LEFT_TURN_LINE + ARC + rng.uniform(30.0, 50.0), leaving, 2, (20.0, 25.0), bystander=True
+        ),
         stream(rng, junction.route("north_through"), ARM + rng.uniform(60.0, 90.0), gone, 2, (18.0, 20.0), True),
     ]
 

@@ -20,7 +20,7 @@ WEST, EAST = -300.0, 520.0  # m, the ends of the road; the rear of the truck is 
 SWING = 22.0  # m of road to change the lane on
 LEAVE = -4.5 - SWING  # m, where the ego begins to swing out: it is in the other lane 2 m before it reaches the truck
 RETURN = 18.5  # m, where it begins to swing back: 2 m past the longest truck
-SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
+_SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
 ASKED = 35.0  # m before it swings out, from where on its command is to change the lane
 # The body of a car is in the other lane from where its side crosses the middle of the road.
 ACROSS = SWING * (0.5 - math.asin(0.95 / (LANE / 2)) / math.pi)  # m after a swing begins
@@ -79,14 +79,14 @@ class OvertakingRanges(Ranges):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_road(self, self.ego_start[1] - LEAVE + 0.5 * self.truck_length[1], SLOW_START, EAST)
+        check_road(self, self.ego_start[1] - LEAVE + 0.5 * self.truck_length[1], _SLOW_START, EAST)
 
 
 def actors(road: Map, ranges: OvertakingRanges, rng: np.random.Generator, hazard: bool) -> Actors:
     """The ego, the truck, the oncoming vehicle, and two that see past the truck: one parked, one coming by."""
     target = rng.uniform(*ranges.ego_speed)
     start = LEAVE - WEST - rng.uniform(*ranges.ego_start)
-    ego = Placement(road.route("overtake"), start, target * rng.uniform(SLOW_START, 1.0), target)
+    ego = Placement(road.route("overtake"), start, target * rng.uniform(_SLOW_START, 1.0), target)
     length, width = rng.uniform(*ranges.truck_length), rng.uniform(*ranges.truck_width)
     truck = Placement(
         road.route("east"), 0.5 * length - WEST, 0.0, 5.0, STANDING, TRUCK, length, width,

@@ -13,9 +13,9 @@ from cad_env.types import CAR, TRUCK
 from cad_env.world.drivers import COMFORTABLE_BRAKING, MIN_GAP
 from cad_env.world.state import IDM, OFF, SCRIPTED, STANDING
 
-LINE = ARM - STOP_LINE  # m along every route to its stop line
-SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
-BEYOND = 2.0 * STOP_LINE + 25.0  # m past its stop line, where the ego has arrived
+CROSSING_LINE = ARM - STOP_LINE  # m along every route to its stop line
+_SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
+_BEYOND = 2.0 * STOP_LINE + 25.0  # m past its stop line, where the ego has arrived
 
 
 @dataclass(frozen=True)
@@ -35,18 +35,18 @@ class StreetCrossingRanges(Ranges):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_road(self, self.ego_start[1] + STOP_LINE, SLOW_START, ARM)
+        check_road(self, self.ego_start[1] + STOP_LINE, _SLOW_START, ARM)
 
 
 def actors(junction: Map, ranges: StreetCrossingRanges, rng: np.random.Generator, hazard: bool) -> Actors:
     """The ego, the first of the queue, the vehicle on the hidden approach, two with a view, the rest of the queue."""
     target = rng.uniform(*ranges.ego_speed)
-    start = LINE - rng.uniform(*ranges.ego_start)
-    ego = Placement(junction.route("south_through"), start, target * rng.uniform(SLOW_START, 1.0), target)
+    start = CROSSING_LINE - rng.uniform(*ranges.ego_start)
+    ego = Placement(junction.route("south_through"), start, target * rng.uniform(_SLOW_START, 1.0), target)
     first, *rest = _queue(junction, ranges, rng)
     hidden, timing = _hidden(junction, ranges, rng, hazard, ego)
-    waiting = [queue(rng, junction.route(name), LINE, 1)[0] for name in ("east_through", "north_left")]
-    return Actors((ego, first, hidden, *waiting, *rest), (OCCLUDER, 3), LINE + BEYOND, timing)
+    waiting = [queue(rng, junction.route(name), CROSSING_LINE, 1)[0] for name in ("east_through", "north_left")]
+    return Actors((ego, first, hidden, *waiting, *rest), (OCCLUDER, 3), CROSSING_LINE + _BEYOND, timing)
 
 
 def _queue(junction: Map, ranges: StreetCrossingRanges, rng: np.random.Generator) -> list[Placement]:
@@ -78,7 +78,7 @@ def _hidden(
         return Placement(route, start, speed, speed, SCRIPTED, CAR, **body), timing
     room = 0.5 * speed * speed / COMFORTABLE_BRAKING + MIN_GAP + body["length"]  # m to the line, to stop in good time
     stops = Placement(
-        route, min(start, LINE - room), speed, speed, OFF if absent else IDM, CAR, stop_at=LINE,
+        route, min(start, CROSSING_LINE - room), speed, speed, OFF if absent else IDM, CAR, stop_at=CROSSING_LINE,
         late_braking=late if brakes_late else 0.0, **body,
     )  # fmt: skip
     return stops, None
@@ -88,13 +88,13 @@ def background(junction: Map, actors: Actors, rng: np.random.Generator) -> Group
     """Queues at the red lights; who drives before and behind the ego, and who has come the other way."""
     ego = actors.vehicles[EGO]
     across, opposite = (queue_behind(rng, waiting, 3) for waiting in actors.vehicles[3:5])
-    passed, beyond = ARM + rng.uniform(80.0, 110.0), LINE + 2.0 * STOP_LINE + rng.uniform(30.0, 50.0)
+    passed, beyond = ARM + rng.uniform(80.0, 110.0), CROSSING_LINE + 2.0 * STOP_LINE + rng.uniform(30.0, 50.0)
     slow, leaving = rng.uniform(9.0, 13.0), ego.target_speed + rng.uniform(1.0, 3.0)
     return [
         across,
         opposite,
-        queue(rng, junction.route("east_left"), LINE, 2),
-        queue(rng, junction.route("west_left"), LINE, 2),
+        queue(rng, junction.route("east_left"), CROSSING_LINE, 2),
+        queue(rng, junction.route("west_left"), CROSSING_LINE, 2),
         stream(rng, junction.route("north_through"), passed, slow, 3, (22.0, 28.0), bystander=True),
         stream(rng, ego.route, ego.progress - rng.uniform(14.0, 25.0), ego.target_speed, 3, (16.0, 25.0)),
         stream(rng, ego.route, beyond, leaving, 2, (22.0, 28.0), bystander=True),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cad_env.envs.parallel import CADParallelEnv
-from cad_env.scoring.interval import Share, clustered, share
+from cad_env.scoring.interval import Share, clustered, share_of
 from cad_env.scoring.rollout import BatchPolicy
 from cad_env.scoring.scorecard import KINDS
 from cad_env.scoring.table import percent, text_table
@@ -194,7 +194,7 @@ def fleet_score(kind: str, episodes: Sequence[FleetEpisode]) -> FleetScore:
 
     return FleetScore(
         episodes[0].scenario, episodes[0].method, kind, len(episodes),
-        share(crashed, len(episodes)),
+        share_of(crashed, len(episodes)),
         clustered([episode.collisions for episode in episodes], [len(agents) for agents in everyone]),
         clustered(drivers_with("success"), sizes), clustered(drivers_with("timeout"), sizes),
         len(flat) - sum(sizes), math.fsum(arrived) / len(arrived) if arrived else None,

@@ -60,7 +60,7 @@ def wilson_of_rate(rate: float, trials: float) -> tuple[float, float]:
     return max(0.0, middle - half) if rate > 0.0 else 0.0, min(1.0, middle + half) if rate < 1.0 else 1.0
 
 
-def share(count: int, of: int) -> Share:
+def share_of(count: int, of: int) -> Share:
     """A share of independent trials."""
     return Share(count, of, *wilson(count, of))
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cad_env.lidar.cast import TOO_FAR, Rays, cast, cast_centimetres, rays_of
 from cad_env.lidar.config import CloudConfig, CloudView, OwnCloud, Selective
-from cad_env.lidar.envelope import SIZE, Envelope, opened, seal
+from cad_env.lidar.envelope import ENVELOPE_SIZE, Envelope, opened, seal
 from cad_env.lidar.points import KEPT, TOO_LARGE, Reads, relative, thinned
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.observe import HORIZON
@@ -116,7 +116,7 @@ class Sharing:
         fleet, step = self._scene.fleet, self.step
         message: list[bytes | None] = []
         for v in range(len(fleet.rows)):
-            size = SIZE + len(contents[v]) if v < len(contents) else 0
+            size = ENVELOPE_SIZE + len(contents[v]) if v < len(contents) else 0
             reason = int(refusal(self.link.budget, 0, size))
             fleet.report.refusal[v], fleet.report.sent_bytes[v] = reason, size if reason == ACCEPTED else 0
             x, y, heading = fleet.trail[v, FRAMES - 1].tolist()

@@ -25,7 +25,7 @@ from cad_env.pipeline.varint import DecodeError
 from cad_env.simulation.scene_step import SceneState
 from cad_env.types import FRAMES, MAX_TRACKS, STEP, Graph, GraphArrays, Ints
 
-Share = Callable[[Graph], Graph | None]
+ShareRule = Callable[[Graph], Graph | None]
 
 
 @runtime_checkable
@@ -42,7 +42,7 @@ class GraphCodec(Protocol):
 class GraphExchange:
     """The graphs of one episode that are under way. Without a codec the project's own message format is used."""
 
-    def __init__(self, share: Share | None, codec: GraphCodec | None, link: Link, depth: int) -> None:
+    def __init__(self, share: ShareRule | None, codec: GraphCodec | None, link: Link, depth: int) -> None:
         self.link, self.depth = link, depth
         self._share, self._codec = share, codec
 

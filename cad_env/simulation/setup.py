@@ -8,7 +8,7 @@ from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, 
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
-from cad_env.simulation.graph_exchange import GraphCodec, Share
+from cad_env.simulation.graph_exchange import GraphCodec, ShareRule
 from cad_env.types import FRAMES
 
 
@@ -24,7 +24,7 @@ class Setup:
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
     cloud: CloudConfig | None = None  # given: points are shared instead of graphs
-    share: Share | None = None  # what a vehicle sends of its graph (None from it: nothing); None: all of it
+    share: ShareRule | None = None  # what a vehicle sends of its graph (None from it: nothing); None: all of it
     codec: GraphCodec | None = None  # how a graph becomes bytes; None: the project's own message format
 
     def __post_init__(self) -> None:

@@ -6,7 +6,7 @@ from cad_env.numerics.jit import compiled
 from cad_env.world.geometry import boxes_touch
 from cad_env.world.state import OFF, World
 
-HORIZON = 5.0  # s, as nuPlan's time-to-collision metric looks ahead
+_HORIZON = 5.0  # s, as nuPlan's time-to-collision metric looks ahead
 RESOLUTION = 0.1  # s
 
 
@@ -23,14 +23,14 @@ def time_to_contact(world: World, i: int) -> float:
         uy = world.speed[j] * math.sin(world.heading[j]) - vy
         # Nearest approach of the two circles: most pairs never come close, and cost no box test.
         square = ux * ux + uy * uy
-        nearest = 0.0 if square < 1e-9 else min(max(-(dx * ux + dy * uy) / square, 0.0), HORIZON)
+        nearest = 0.0 if square < 1e-9 else min(max(-(dx * ux + dy * uy) / square, 0.0), _HORIZON)
         away = (dx + nearest * ux) ** 2 + (dy + nearest * uy) ** 2
         if away > (world.size[i, 0] + world.size[j, 0]) ** 2:  # no width is greater than its length: spares the roots
             continue
         reach = 0.5 * (math.hypot(world.size[i, 0], world.size[i, 1]) + math.hypot(world.size[j, 0], world.size[j, 1]))
         if away > reach * reach:
             continue
-        for step in range(int(HORIZON / RESOLUTION) + 1):
+        for step in range(int(_HORIZON / RESOLUTION) + 1):
             time = step * RESOLUTION
             if time >= soonest:
                 break

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scenes import started, steps, whole_episode
 
 from cad_env.config import RadioConfig, radio_config
-from cad_env.pipeline.codec import ACCEPTED as READ
+from cad_env.pipeline.codec import DECODED as READ
 from cad_env.pipeline.codec import decode, read
 from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in

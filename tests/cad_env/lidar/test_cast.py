@@ -21,7 +21,7 @@ from cad_env.lidar.cast import (  # fmt: skip
     meet,
     rays_of,
 )
-from cad_env.lidar.points import REACH, thinned
+from cad_env.lidar.points import POINT_REACH, thinned
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.sense import MOUNT, can_see, outline, sensing
 from cad_env.types import CAR, TRUCK
@@ -241,7 +241,7 @@ def test_what_two_bytes_of_centimetres_cannot_hold_is_told():
     for world, rays in ((wall, FLAT), (boxes((0, 0, 0)), ring)):
         told = set()
         for step in range(20):
-            far = bool(np.abs(points(world, rays, config, step)).max() > REACH)
+            far = bool(np.abs(points(world, rays, config, step)).max() > POINT_REACH)
             assert far == (whole_cm(world, rays, config, step) is None)
             told.add(far)
         assert told == {True, False}

@@ -13,7 +13,7 @@ from cad_env.config import RadioConfig
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.lidar.config import CloudConfig
-from cad_env.lidar.envelope import SIZE
+from cad_env.lidar.envelope import ENVELOPE_SIZE
 from cad_env.lidar.points import RawPoints
 from cad_env.pipeline.radio import LOST, NOT_SENT, REACHES
 from cad_env.scenarios import SCENARIOS
@@ -120,7 +120,7 @@ def test_raw_clouds_are_over_the_budget_of_dsrc_and_are_refused_and_over_an_idea
         assert info["bytes_sent"] == info["bytes_received"] == info["messages_sent"] == info["messages_lost"] == 0
     for info in arrived:
         assert info["refused"] is None
-        assert 300_000 < info["largest_message"] <= SIZE + 4 + 6 * 64 * 1024
+        assert 300_000 < info["largest_message"] <= ENVELOPE_SIZE + 4 + 6 * 64 * 1024
         assert info["bytes_sent"] > info["bytes_received"] > 300_000
 
 
@@ -128,7 +128,7 @@ def test_what_is_counted_is_what_is_written():
     simulation = started(4, cloud=CLOUD, radio="ideal")
     for _ in steps(simulation, 5):
         clouds = [simulation.sharing.cloud(v) for v in range(len(simulation.agents))]
-        sizes = [SIZE + len(payload) for payload in RawPoints().encode(clouds)]
+        sizes = [ENVELOPE_SIZE + len(payload) for payload in RawPoints().encode(clouds)]
         info = simulation.info()
         assert info["bytes_sent"] == sum(sizes)
         assert info["largest_message"] == max(sizes)

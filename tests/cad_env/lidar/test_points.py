@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cad_env.lidar.envelope import SIZE, Envelope, opened, seal
-from cad_env.lidar.points import GROUND, KEPT, MOST_POINTS, REACH, RawPoints, relative, thinned
+from cad_env.lidar.envelope import ENVELOPE_SIZE, Envelope, opened, seal
+from cad_env.lidar.points import GROUND, KEPT, MOST_POINTS, POINT_REACH, RawPoints, relative, thinned
 from cad_env.pipeline.varint import DecodeError
 
-coordinates = st.floats(-REACH, REACH)
+coordinates = st.floats(-POINT_REACH, POINT_REACH)
 clouds = st.integers(0, 40).flatmap(lambda count: arrays(np.float64, (count, 3), elements=coordinates))
 crowded = st.builds(
     lambda seed, count, side: np.random.default_rng(seed).integers(-side, side, (count, 3)) / 100.0,
@@ -103,7 +103,7 @@ def test_law_5_hostile_bytes_raise_only_decode_error(junk: bytes, count: int):
 @given(st.binary(max_size=200), st.integers(0, 2**16 - 1))
 def test_law_5_a_hostile_envelope_raises_only_decode_error(junk: bytes, sender: int):
     whole = seal(Envelope(sender, 2.0, (1.0, 2.0, 0.5), junk))
-    for message in (junk, whole[:-1], whole + b"\0", b"?" + junk + whole, whole[: SIZE - 1], b"CP\1" + junk):
+    for message in (junk, whole[:-1], whole + b"\0", b"?" + junk + whole, whole[: ENVELOPE_SIZE - 1], b"CP\1" + junk):
         with pytest.raises(DecodeError):
             opened(message)
 
@@ -118,7 +118,7 @@ envelopes = st.builds(
 def test_an_envelope_holds_its_sender_time_and_pose_and_no_changed_bit_goes_unnoticed(envelope: Envelope, data):
     message = seal(envelope)
     found = opened(message)
-    assert len(message) == SIZE + len(envelope.content)
+    assert len(message) == ENVELOPE_SIZE + len(envelope.content)
     assert (found.sender, found.content) == (envelope.sender, envelope.content)
     assert found.time == pytest.approx(envelope.time, abs=1e-9)
     assert found.pose[:2] == pytest.approx(envelope.pose[:2], abs=0.005 + 1e-9)

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.codec import (
-    ACCEPTED,
     CAPACITY,
     CORRUPT,
+    DECODE_REASONS,
+    DECODED,
     FORMAT,
     IDENTITY,
     MAX_BYTES,
     NO_NODE,
-    REASONS,
     SPELLING,
     TRAILING,
     DecodeError,
@@ -84,7 +84,7 @@ HEAD = bytes.fromhex("4347010f0101070040e20100")  # one track, 15 frames deep
     ],
 )
 def test_each_rule_has_its_refusal(payload: bytes, reason: int):
-    assert refusal(payload).endswith(REASONS[reason])
+    assert refusal(payload).endswith(DECODE_REASONS[reason])
 
 
 def test_the_message_that_those_refusals_spoil_is_accepted():
@@ -98,7 +98,7 @@ def test_more_bytes_than_any_graph_needs_are_refused_unread():
 def test_more_tracks_than_rows_are_refused_before_they_are_read():
     payload = np.array(bytearray(encode(scene(tracks=5))), np.uint8)
     assert read(payload, len(payload), np.zeros(3, np.int64), empty_graph_arrays(rows=4)) == CAPACITY
-    assert read(payload, len(payload), np.zeros(3, np.int64), empty_graph_arrays(rows=5)) == ACCEPTED
+    assert read(payload, len(payload), np.zeros(3, np.int64), empty_graph_arrays(rows=5)) == DECODED
 
 
 def test_a_length_beyond_the_buffer_is_refused():
@@ -147,7 +147,7 @@ def attack(good: Bytes, noise: Bytes, seal: bool, again: Bytes, rows: GraphArray
             length += 4
         status = read(buffer, length, header, rows)
         met[status] = 1
-        if status == ACCEPTED:
+        if status == DECODED:
             size = write(again, header[0], header[1], header[2], rows)
             wrong += size != length or (again[:size] != buffer[:size]).any()
     return wrong
@@ -155,7 +155,7 @@ def attack(good: Bytes, noise: Bytes, seal: bool, again: Bytes, rows: GraphArray
 
 @pytest.mark.parametrize("seal", [False, True])
 def test_no_hurt_message_is_accepted_in_a_second_spelling(seal: bool):
-    met, again, rows = np.zeros(len(REASONS), np.uint8), np.zeros(MAX_BYTES, np.uint8), empty_graph_arrays()
+    met, again, rows = np.zeros(len(DECODE_REASONS), np.uint8), np.zeros(MAX_BYTES, np.uint8), empty_graph_arrays()
     rng = np.random.default_rng(0)
     bumpy = scene(tracks=2)
     bumpy.position[1, :, 2] += rng.integers(0, 2, FRAMES) * 0.01
@@ -165,4 +165,4 @@ def test_no_hurt_message_is_accepted_in_a_second_spelling(seal: bool):
         assert attack(good, noise, seal, again, rows, met) == 0
     assert met[CORRUPT] != seal
     if seal:
-        assert met[[ACCEPTED, TRUNCATED, LONG_VARINT, OUTSIDE, FORMAT, NO_NODE, IDENTITY, TRAILING]].all()
+        assert met[[DECODED, TRUNCATED, LONG_VARINT, OUTSIDE, FORMAT, NO_NODE, IDENTITY, TRAILING]].all()

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
-from cad_env.pipeline.merge import EGO_RADIUS, GATE, finish_merge, receive, start_merge, take_in
+from cad_env.pipeline.merge import EGO_RADIUS, MERGE_GATE, finish_merge, receive, start_merge, take_in
 from cad_env.types import CAR, FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, TRUCK, GraphArrays
 
 FAR = np.tile([1000.0, 1000.0, 0.0], (FRAMES, 1))  # the ego's trail, where it disturbs nobody
@@ -61,7 +61,7 @@ def test_three_views_weigh_the_same():
     assert newest(merged) == pytest.approx(np.array([[0.3, 0.3]]))
 
 
-@pytest.mark.parametrize(("apart", "vehicles"), [(GATE - 0.01, 1), (GATE + 0.01, 2)])
+@pytest.mark.parametrize(("apart", "vehicles"), [(MERGE_GATE - 0.01, 1), (MERGE_GATE + 0.01, 2)])
 def test_tracks_further_apart_than_the_gate_are_two_vehicles(apart: float, vehicles: int):
     assert merge(graph((0.0, 0.0, 1, 0)), graph((0.0, apart, 1, 0))).used[0] == vehicles
 
@@ -146,7 +146,7 @@ def test_nobody_is_lost_or_made_up(own: GraphArrays, other: GraphArrays):
     for rows in (own, other):
         for place in newest(rows):
             apart = np.linalg.norm(newest(merged) - place, axis=1)
-            assert apart.min() <= GATE * np.sqrt(FRAMES)
+            assert apart.min() <= MERGE_GATE * np.sqrt(FRAMES)
 
 
 def as_sent(rows: GraphArrays, depth: int) -> GraphArrays:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cad_env.scenarios.left_turn import LEFT_TURN, LINE, LeftTurnRanges
+from cad_env.scenarios.left_turn import LEFT_TURN, LEFT_TURN_LINE, LeftTurnRanges
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Scene
 from cad_env.scenarios.vehicles import unbraked_time
@@ -27,7 +27,7 @@ def test_everything_is_drawn_within_its_range(scenes):
         ego, truck = scene.placements[EGO], scene.placements[OCCLUDER]
         measured = {
             "ego_speed": ego.target_speed,
-            "ego_start": LINE - ego.progress,
+            "ego_start": LEFT_TURN_LINE - ego.progress,
             "truck_length": truck.length,
             "truck_width": truck.width,
             "truck_front": 250.0 - truck.progress - truck.length / 2,

@@ -6,7 +6,7 @@ from scenes import started, steps
 
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Scene
-from cad_env.scenarios.street_crossing import LINE, STREET_CROSSING, StreetCrossingRanges
+from cad_env.scenarios.street_crossing import CROSSING_LINE, STREET_CROSSING, StreetCrossingRanges
 from cad_env.types import CAR, TRUCK
 from cad_env.world.state import IDM, OFF, SCRIPTED, STANDING
 
@@ -48,7 +48,7 @@ def test_the_hidden_vehicle_runs_its_light_stops_in_time_stops_late_or_is_absent
             assert RANGES.hazard_timing[0] <= scene.timing <= RANGES.hazard_timing[1]
             continue
         assert scene.timing is None
-        assert hidden.stop_at == LINE
+        assert hidden.stop_at == CROSSING_LINE
         stories.add("absent" if hidden.driver == OFF else "late" if hidden.late_braking else "in time")
     assert stories == {"absent", "late", "in time"}
 
@@ -71,7 +71,7 @@ def test_whoever_stops_does_so_before_its_line_the_late_one_harder():
             if world.speed[HIDDEN] > 3.0:
                 braking = max(braking, -world.acceleration[HIDDEN])
         assert world.speed[HIDDEN] == pytest.approx(0.0, abs=0.3)
-        assert LINE - 6.0 < world.progress[HIDDEN] + 0.5 * hidden.length < LINE + 0.1
+        assert CROSSING_LINE - 6.0 < world.progress[HIDDEN] + 0.5 * hidden.length < CROSSING_LINE + 0.1
         hardest["late" if hidden.late_braking else "in time"].append(braking)
         if hidden.late_braking:
             assert hidden.late_braking <= braking < hidden.late_braking + 1.0
@@ -90,4 +90,4 @@ def test_the_runner_meets_an_unbraked_ego_and_cross_traffic_keeps_to_its_light()
         assert world.struck[EGO] == HIDDEN
         waiting = [row for row in range(len(world.speed)) if world.route[row] in crossing]
         assert waiting
-        assert all(world.progress[row] + 0.5 * world.size[row, 0] < LINE + 0.1 for row in waiting)
+        assert all(world.progress[row] + 0.5 * world.size[row, 0] < CROSSING_LINE + 0.1 for row in waiting)

@@ -53,10 +53,10 @@ def module_source(text: str) -> bytes:
 
 def _module(text: str, name: str) -> Any:
     if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # as for a script that lies there; processes of workers take it over
+        sys.path.append(os.getcwd())  # last, so that a file there shadows no installed module; workers take it over
     try:
         return import_module(name)
-    except ImportError as error:
+    except (ImportError, SyntaxError) as error:
         raise ValueError(f"{text!r}: {error}") from None
 
 

@@ -101,3 +101,14 @@ def test_what_is_no_policy_is_refused_in_one_line(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert said in error
+
+
+def test_a_module_that_is_no_python_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "broken_policy.py").write_text("class Policy(\n")
+    monkeypatch.chdir(tmp_path)
+    assert evaluate.main(["--method", "broken_policy:Policy", "--episodes", "1", "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "was never closed" in error

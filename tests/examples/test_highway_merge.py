@@ -3,6 +3,7 @@
 import copy
 import json
 import os
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -33,13 +34,13 @@ from cad_env.scoring.rollout import rollout, rollouts
 from cad_env.types import BRAKE, GO, TRUCK, Image
 from cad_env.world.state import OFF, STANDING, Truth, World
 from cad_env.world.step import advance, note_contacts
-from policies.command import CommandConfig, CommandDriver, CommandNet
+from policies.command import CommandConfig, CommandNet, CommandPolicy
 from policies.model_folder import load_model
 from policies.registry import spec_named
 from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.stgraph.policy import StGraphPolicy
-from policies.training.cloning import Recipe
-from policies.training.dagger import Course, record_demonstrations, train
+from policies.training.config import TrainingConfig
+from policies.training.dagger import record_demonstrations, train_network
 from policies.training.demonstrations import scenes_of
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "highway_merge"))
@@ -293,11 +294,11 @@ def test_all_agents_can_be_driven():
     "make",
     [
         lambda: CADVectorEnv(2, scenario=["left_turn", HIGHWAY_MERGE]),
-        lambda: Course(scenarios=("left_turn", NAME)),
+        lambda: TrainingConfig(scenarios=("left_turn", NAME)),
         lambda: CADEnv(scenario="left_turn").configure({"scenario": NAME}),
-        lambda: Course(scenarios=(NAME,), network=StGraphConfig(commands=8)),
+        lambda: TrainingConfig(scenarios=(NAME,), network=StGraphConfig(commands=8)),
         lambda: rollout(CADEnv(scenario=NAME), StGraphPolicy(StGraphNet()), 1),
-        lambda: next(rollouts(CADVectorEnv(2, scenario=NAME), CommandDriver(CommandNet(CommandConfig(), 0), 0.5), [1])),
+        lambda: next(rollouts(CADVectorEnv(2, scenario=NAME), CommandPolicy(CommandNet(CommandConfig(), 0), 0.5), [1])),
     ],
 )
 def test_what_knows_other_numbers_of_commands_is_refused_in_one_line(make: Callable[[], object]):
@@ -309,7 +310,7 @@ def test_what_knows_other_numbers_of_commands_is_refused_in_one_line(make: Calla
 def test_a_network_of_the_six_commands_is_not_scored_in_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     words = ["--scenario", NAME, "--method", "stgraph", "--episodes", "1", "--no-report", "--out", str(tmp_path)]
     assert evaluate.main(words) != 0
-    assert "error: the network was made for 6 commands, and this scenario has 7" in capsys.readouterr().err
+    assert "error: the model of stgraph knows 6 commands, and highway_merge has 7" in capsys.readouterr().err
 
 
 def test_two_processes_score_it_as_one_does_with_its_own_expert(tmp_path: Path):
@@ -347,13 +348,13 @@ def test_demonstrations_are_its_expert_s_and_marked_with_its_source(tmp_path: Pa
 
 @pytest.mark.parametrize("spec", ["stgraph", "command", "point_transformer", "compressed"])
 def test_every_network_learns_it_for_a_moment_and_drives(spec: str, tmp_path: Path):
-    config = spec_named(spec).config_type()
-    course = Course(
+    network = spec_named(spec).config_type()
+    config = TrainingConfig(
         scenarios=(NAME,), radio="ideal", episodes=8, dagger_rounds=1, dagger_episodes=1, steps=6, segments=2,
-        validation=1, final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=8), spec=spec, network=config,
+        validation=1, final_validation=1, thresholds=(0.5,), batch=8, spec=spec, network=network,
     )  # fmt: skip
-    assert (config.commands, course.network.commands) == (6, 7)
-    train(course, tmp_path, lambda done: None)
+    assert (network.commands, config.network.commands) == (6, 7)
+    train_network(config, tmp_path, lambda done: None)
     model = load_model(tmp_path)
     assert model.network.config.commands == 7
     env = CADEnv(scenario=NAME, radio="ideal", **model.environment())
@@ -414,11 +415,11 @@ def test_worker_processes_score_it_with_its_own_expert(tmp_path: Path, capsys: p
 
 
 def test_it_is_demonstrated_and_learned(tmp_path: Path):
-    config = Course(
+    config = TrainingConfig(
         scenarios=(NAME,), episodes=12, dagger_rounds=1, dagger_episodes=2, steps=6, segments=1, validation=1,
-        final_validation=1, thresholds=(0.5,), recipe=Recipe(batch=16), network=StGraphConfig(commands=7),
+        final_validation=1, thresholds=(0.5,), batch=16, network=StGraphConfig(commands=7),
     )  # fmt: skip
-    train(config, tmp_path, lambda done: None)
+    train_network(config, tmp_path, lambda done: None)
     assert load_model(tmp_path).network.config.commands == 7
 
 
@@ -430,11 +431,10 @@ def test_another_scenario_of_its_name_is_refused():
 
 
 def test_the_command_trains_networks_that_know_its_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["--scenario", NAME, "--score", "0", "--out", str(tmp_path)]
-    lessons = train_command.TrainSettings(scenario=(NAME,), out=tmp_path).lessons()
-    assert {config.network.commands for _, config in lessons} == {7}
-    assert train_command.main([*words, "--method", "raw-points"]) == 2
-    assert "raw-points cannot learn highway_merge: they have [7] commands" in capsys.readouterr().err
+    asked = train_command.TrainSettings(scenario=(NAME,), out=tmp_path, method=("stgraph", "raw-points", "compressed"))
+    assert {task.config.network.commands for task in asked.tasks()} == {7}
+    assert train_command.main(["--scenario", NAME, "left_turn", "--out", str(tmp_path)]) == 2
+    assert re.search("error: .*commands", capsys.readouterr().err)
     models = ["--scenario", NAME, "--method", "stgraph", "--episodes", "1", "--out", str(tmp_path / "scores")]
     assert evaluate.main([*models, "--no-report"]) == 2
     assert "knows 6 commands, and highway_merge has 7" in capsys.readouterr().err

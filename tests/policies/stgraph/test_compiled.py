@@ -22,7 +22,8 @@ from policies.stgraph.compiled.module import FusedNet, fused_logits, supports
 from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.stgraph.policy import StGraphPolicy
 from policies.stgraph.spec import SPEC
-from policies.training.cloning import Recipe, fit
+from policies.training.cloning import fit
+from policies.training.config import TrainingConfig
 from policies.training.demonstrations import joined, record, replay
 from tests.policies.stgraph.test_stgraph import PAPER, VARIANTS, network, observations, tensors
 
@@ -242,7 +243,7 @@ def test_training_fused_goes_where_training_dense_goes(recorded: Frames, monkeyp
         net = StGraphNet(seed=5).double()
         adam = torch.optim.Adam(net.parameters(), lr=1e-3)
         rng = np.random.default_rng(0)
-        fit(SPEC, net, adam, {"left_turn": recorded}, Recipe(batch=16), range(10), 10, rng, lambda _: None)
+        fit(SPEC, net, adam, {"left_turn": recorded}, TrainingConfig(batch=16), range(10), 10, rng, lambda _: None)
         ends.append(torch.cat([parameter.detach().flatten() for parameter in net.parameters()]))
     assert float((ends[0] - ends[1]).abs().max()) < 1e-7
 

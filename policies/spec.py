@@ -110,7 +110,11 @@ def fitting(config: Any, scenarios: Sequence[str]) -> Any:
     ValueError, one line, for scenarios that differ in it, and for a number that was chosen and is another one.
     """
     wanted = commands_of(scenarios)
-    if "commands" not in {knob.name for knob in fields(config)} or config.commands == wanted:
+    if "commands" not in {knob.name for knob in fields(config)}:
+        if wanted != COMMANDS:
+            raise ValueError(f"a network without a setting `commands` knows {COMMANDS}, not {wanted} commands")
+        return config
+    if config.commands == wanted:
         return config
     if config.commands != COMMANDS:
         raise ValueError(f"network commands must be {wanted}, as {' '.join(scenarios)} have, got {config.commands}")

@@ -23,7 +23,7 @@ TINY = ["--episodes", "6", "--dagger_rounds", "0", "--steps", "9", "--validation
 
 def claimed(settings: train.TrainSettings) -> None:
     for lesson, course in settings.lessons():
-        train.claim(lesson.folder, course)
+        train.claim_course(lesson.folder, course)
 
 
 def command(*arguments: str) -> list[str]:
@@ -85,7 +85,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path, capsys: pytest.Captu
     claimed(settings)
     claimed(settings)
     assert train.main(["--out", str(tmp_path / "run"), "--steps", "12"]) == 2
-    assert "steps=9, now 12" in capsys.readouterr().err
+    assert "another steps (9, now 12)" in capsys.readouterr().err
 
 
 def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,7 +94,7 @@ def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.C
     assert train.main(["--out", str(tmp_path / "run"), "--scenario", *others]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert "scenarios=['left_turn'], now" in error
+    assert 'another scenarios (["left_turn"], now ["overtaking", "street_crossing"])' in error
 
 
 def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learned_over(tmp_path: Path) -> None:

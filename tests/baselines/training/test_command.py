@@ -94,7 +94,7 @@ def test_a_folder_of_other_scenarios_is_refused(tmp_path: Path, capsys: pytest.C
     assert train.main(["--out", str(tmp_path / "run"), "--scenario", *others]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert 'another scenarios (["left_turn"], now' in error
+    assert 'another scenarios (["left_turn"], now ["overtaking", "street_crossing"])' in error
 
 
 def test_other_rows_are_scored_in_folders_of_their_own_over_the_radio_they_learned_over(tmp_path: Path) -> None:

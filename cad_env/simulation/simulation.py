@@ -149,6 +149,11 @@ class Simulation:
         return self._scene_state.step_info.reward.item()
 
     @property
+    def min_ttc(self) -> float:
+        """s, the least time to contact of the ego so far; inf if nothing was on a collision course."""
+        return self._scene_state.step_info.min_ttc.item()
+
+    @property
     def way(self) -> float:
         """m from the start of the ego to its goal."""
         return self._scene_state.way
@@ -181,7 +186,7 @@ class Simulation:
             "crashed": outcome == COLLISION,
             "outcome": outcome,
             "is_success": outcome == SUCCESS,
-            "min_ttc": step_info.min_ttc.item(),
+            "min_ttc": self.min_ttc,
             "bytes_sent": step_info.bytes_sent.item(),
             "bytes_received": step_info.bytes_received.item(),
             "largest_message": step_info.largest_message.item(),

@@ -82,10 +82,20 @@ class Simulation:
         goal, step_info = self.scene.goal, self._batch_state.step_info_at(self._place)
         step_info.min_ttc[0], step_info.progress[0] = math.inf, self.world.progress[0]
         self._scene_state = SceneState(
-            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys,
-            np.zeros(1, np.int64), np.zeros(len(self.agents), np.int64), float(goal),
-            float(goal - self.world.progress[0]), step_info, np.zeros(vehicles),
-        )  # fmt: skip
+            world=self.world,
+            routes=self.map.routes,
+            fleet=self.fleet,
+            sensor=self._sensor,
+            link=self._link,
+            depth=self.setup.depth,
+            keys=self._keys,
+            clock=np.zeros(1, np.int64),
+            actions=np.zeros(len(self.agents), np.int64),
+            goal=float(goal),
+            way=float(goal - self.world.progress[0]),
+            step_info=step_info,
+            scratch=np.zeros(vehicles),
+        )
         self._batch_state.put(self._place, self._scene_state)
         if self.sharing is not None:
             self.sharing.start(self._scene_state, seed)

@@ -29,13 +29,14 @@ if TYPE_CHECKING:
     from cad_env.envs.vector import CADVectorEnv
     from cad_env.lidar.config import CloudConfig
     from cad_env.pipeline.varint import DecodeError
+    from cad_env.rules.planner import Planner
     from cad_env.scenarios import register
     from cad_env.scoring.rollout import Episode, rollout, rollouts
     from cad_env.simulation.graph_exchange import GraphCodec
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
-    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "SensorConfig", "StepOutcome",
+    "Episode", "Graph", "GraphCodec", "Planner", "Policy", "RadioConfig", "SensorConfig", "StepOutcome",
     "parallel_env", "register",
     "rollout", "rollouts",
 ]  # fmt: skip
@@ -50,6 +51,7 @@ _LAZY = {
     "DecodeError": "cad_env.pipeline.varint",
     "Episode": "cad_env.scoring.rollout",
     "GraphCodec": "cad_env.simulation.graph_exchange",
+    "Planner": "cad_env.rules.planner",
     "StepOutcome": "cad_env.envs.rewards",
     "rollout": "cad_env.scoring.rollout",
     "register": "cad_env.scenarios",

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cad_env.envs.vector import CADVectorEnv
     from cad_env.lidar.config import CloudConfig
     from cad_env.pipeline.varint import DecodeError
+    from cad_env.rules.planner import Planner
     from cad_env.scenarios import register
     from cad_env.scenarios.scenario import Scenario
     from cad_env.scoring.rollout import Episode, rollout, rollouts
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
-    "Episode", "Graph", "GraphCodec", "Policy", "RadioConfig", "Scenario", "Scorecard", "SensorConfig", "StepOutcome",
-    "parallel_env", "register", "rollout", "rollouts", "scorecards", "table",
+    "Episode", "Graph", "GraphCodec", "Planner", "Policy", "RadioConfig", "Scenario", "Scorecard", "SensorConfig",
+    "StepOutcome", "parallel_env", "register", "rollout", "rollouts", "scorecards", "table",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -53,6 +54,7 @@ _LAZY = {
     "DecodeError": "cad_env.pipeline.varint",
     "Episode": "cad_env.scoring.rollout",
     "GraphCodec": "cad_env.simulation.graph_exchange",
+    "Planner": "cad_env.rules.planner",
     "Scenario": "cad_env.scenarios.scenario",
     "Scorecard": "cad_env.scoring.scorecard",
     "StepOutcome": "cad_env.envs.rewards",

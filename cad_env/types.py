@@ -62,15 +62,6 @@ class GraphArrays(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Detections:
-    """What one vehicle's sensors report in one frame: no identity, no truth."""
-
-    time: float  # s
-    position: Floats  # (n, 3) m
-    kind: Ints  # (n,) int8 CAR or TRUCK
-
-
-@dataclass(frozen=True)
 class Graph:
     """A spatiotemporal graph: a node is a (track, frame) whose mask is set.
 
@@ -85,15 +76,6 @@ class Graph:
     position: Floats  # (K, T, 3) m; column -1 is the newest frame
     mask: Bools  # (K, T)
     kind: Ints  # (K,) int8 CAR or TRUCK
-
-
-@dataclass(frozen=True)
-class Message:
-    """What the radio carries; its budget counts `len(payload)`."""
-
-    sender: int
-    sent_at: float  # s
-    payload: bytes
 
 
 class Policy(Protocol):

@@ -21,17 +21,24 @@ def version() -> str:
 
 
 def code_digest(places: Iterable[Path]) -> str:
-    """Twelve letters that change with the code of files and folders, but not with comments, layout or docstrings."""
+    """Twelve letters that change with the code of files and folders, but not with its words.
+
+    Comments, layout, docstrings and the annotations of functions are words; which fields a record has is not.
+    """
     digest = hashlib.sha256()
     for place in places:
         for source in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
-            tree = _without_docstrings(ast.parse(source.read_text(encoding="utf-8")))
-            digest.update(f"{place.name}/{source.name}\n{ast.dump(tree)}\n".encode())
+            tree = _without_words(ast.parse(source.read_text(encoding="utf-8")))
+            digest.update(f"{source.relative_to(place.parent).as_posix()}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()[:12]
 
 
-def _without_docstrings(tree: ast.Module) -> ast.Module:
+def _without_words(tree: ast.Module) -> ast.Module:
     for node in ast.walk(tree):
+        if isinstance(node, ast.arg):
+            node.annotation = None
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            node.returns = None
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             first = node.body[0] if node.body else None
             if (

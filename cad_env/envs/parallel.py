@@ -13,7 +13,7 @@ from pettingzoo import ParallelEnv
 from cad_env.envs.global_state import global_state, global_state_space
 from cad_env.envs.goals import goals
 from cad_env.envs.highway_vehicles import WorldRoad
-from cad_env.envs.rewards import StepOutcome, reward_named
+from cad_env.envs.rewards import StepOutcome, progress, reward_named
 from cad_env.envs.single import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
 from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
@@ -26,6 +26,7 @@ from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
 from cad_env.types import COLLISION, GO, SUCCESS, TIMEOUT, Floats, Ints, Observation
 from cad_env.world.state import Truth
+from cad_env.world.time_to_contact import time_to_contact
 
 COLLABORATORS = (3, 3)  # a fixed number unless asked otherwise: many multi-agent libraries want fixed agents
 WAITED = "waited"  # the outcome of a vehicle that could only wait, and was not hit
@@ -105,6 +106,8 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         self._waits = waits.tolist()
         self._start = self._progress = world.progress[rows]
         self._way = np.maximum(self._goal - self._start, 1.0)
+        self._min_ttc = np.full(len(rows), np.inf)
+        self._note_contacts()
         if self.render_mode == "human":
             self.render()
         return self._observations(), self._infos([None] * len(rows))
@@ -161,16 +164,25 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         travelled = place - self._progress
         share = travelled / self._way
         self._progress = place
+        self._note_contacts()
         earned = {}
         for agent in self.agents:
             k = self._number[agent]
             step = StepOutcome(
                 action=int(chosen[k]), travelled=float(travelled[k]), progress=float(share[k]),
                 speed=float(simulation.world.speed[rows[k]]), time=simulation.time, outcome=outcomes[k],
-                hazard=simulation.scene.hazard, bytes_sent=int(report.sent_bytes[k]),
+                hazard=simulation.scene.hazard, min_ttc=float(self._min_ttc[k]), bytes_sent=int(report.sent_bytes[k]),
             )  # fmt: skip
             earned[agent] = float(self._reward(step))
         return earned
+
+    def _note_contacts(self) -> None:
+        """Keep the least time to contact of every agent, s, for rewards from outside: the usual one does not ask."""
+        if self._reward is not progress:
+            for agent in self.agents:
+                k = self._number[agent]
+                now = time_to_contact(self.simulation.world, self.simulation.agents[k])
+                self._min_ttc[k] = min(self._min_ttc[k], now)
 
     def _infos(self, outcomes: list[str | None]) -> Infos:
         simulation, air = self.simulation, self.simulation.fleet.report

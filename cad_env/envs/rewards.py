@@ -24,6 +24,7 @@ class StepOutcome:
     time: float  # s since the start of the episode
     outcome: str | None  # success, collision, timeout, waited, or None while the episode goes on for it
     hazard: bool  # whether the episode holds a hazard: known to nobody who drives
+    min_ttc: float  # s, its least time to contact so far at the speeds and headings of each moment; inf beyond 5 s
     bytes_sent: int  # by this agent in this step
 
 
@@ -34,7 +35,7 @@ def ego_step(simulation: Simulation, action: int, before: float) -> StepOutcome:
     return StepOutcome(
         action=action, travelled=travelled, progress=travelled / simulation.way, speed=float(world.speed[0]),
         time=simulation.time, outcome=simulation.outcome(), hazard=scene.hazard,
-        bytes_sent=int(simulation.fleet.report.sent_bytes[0]),
+        min_ttc=simulation.min_ttc, bytes_sent=int(simulation.fleet.report.sent_bytes[0]),
     )  # fmt: skip
 
 

@@ -4,11 +4,9 @@ Row 0 is the vehicle's own body as its GNSS places it; the other rows are its co
 last node has left the window.
 """
 
-import numpy as np
-
 from cad_env.numerics.jit import inlined
 from cad_env.pipeline.graph_arrays import row_of
-from cad_env.types import FRAMES, STEP, Bools, Floats, Graph, GraphArrays, Ints
+from cad_env.types import FRAMES, Bools, Floats, GraphArrays
 
 
 @inlined
@@ -36,18 +34,3 @@ def add_track(rows: GraphArrays, track: int, kind: int, recent: Floats, recent_m
         rows.mask[i, column] = recent_mask[k]
         for axis in range(3):
             rows.position[i, column, axis] = recent[k, axis]
-
-
-def nodes_and_edges(graph: Graph) -> tuple[Ints, Floats, Ints, Floats]:
-    """The edges that the nodes imply: (E, 2) spatial pairs and (E,) distances m, (F, 2) temporal pairs and (F,) gaps s.
-
-    Pairs index the nodes in the order of np.argwhere(graph.mask), source first; a gap is source minus target time.
-    """
-    node = np.argwhere(graph.mask)
-    place = graph.position[graph.mask]
-    different = ~np.eye(len(node), dtype=bool)
-    spatial = np.argwhere((node[:, None, 1] == node[None, :, 1]) & different)
-    temporal = np.argwhere((node[:, None, 0] == node[None, :, 0]) & different)
-    distance = np.linalg.norm(place[spatial[:, 0]] - place[spatial[:, 1]], axis=-1)
-    gap = STEP * (node[temporal[:, 0], 1] - node[temporal[:, 1], 1])
-    return spatial, distance, temporal, gap

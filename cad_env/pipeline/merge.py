@@ -40,8 +40,8 @@ def receive(kept: GraphArrays, message: GraphArrays, depth: int, age: int) -> No
 
 
 @compiled
-def start_merge(merged: GraphArrays, weight: Floats) -> None:
-    """Empty the merged graph. weight (M, T): how many vehicles saw a node, of the rows in use."""
+def start_merge(merged: GraphArrays) -> None:
+    """Empty the merged graph."""
     merged.used[0] = 0
 
 
@@ -49,6 +49,7 @@ def start_merge(merged: GraphArrays, weight: Floats) -> None:
 def take_in(merged: GraphArrays, weight: Floats, rows: GraphArrays, first: int, trail: Floats) -> None:
     """Associate one vehicle's rows from `first` on with the merged graph, and fuse them by their mean.
 
+    weight (M, T): how many vehicles saw a node, of the rows in use.
     trail (T, 3): the ego's own pose in each frame; nodes within EGO_RADIUS of it are the ego, and are left out.
     """
     known, count = merged.used[0], rows.used[0]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium import spaces
 
-from cad_env.numerics.jit import compiled, compiled_part
+from cad_env.numerics.jit import compiled, compiled_part, inlined_part
 from cad_env.types import (
     COMMANDS,
     FRAMES,
@@ -75,6 +75,20 @@ def observation_space(commands: int = COMMANDS) -> spaces.Dict:
 def as_observation(view: Any) -> Observation:
     """A copy of a view, a record of arrays, as the dictionary that the environments return."""
     return {name: getattr(view, name).copy() for name in view._fields}
+
+
+def view_of(observation: Observation) -> View:
+    """The fields of an observation, or of many stacked along a first axis, as a record: the arrays themselves."""
+    return View(*(observation[name] for name in View._fields))
+
+
+@inlined_part
+def view_at(stack: View, r: int) -> View:
+    """View number `r` of a stack, for compiled loops."""
+    return View(
+        stack.tracks[r], stack.mask[r], stack.kind[r], stack.odometry[r], stack.ego[r], stack.command[r],
+        stack.route[r], stack.oncoming[r],
+    )  # fmt: skip
 
 
 @compiled_part

@@ -3,12 +3,10 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from cad_env.config import SensorConfig
 from cad_env.numerics.jit import compiled, inlined, inlined_part
 from cad_env.numerics.philox import normals_and_uniform
-from cad_env.types import MAX_TRACKS, STEP, TRUCK, Bools, Detections, Floats, Ints
+from cad_env.types import MAX_TRACKS, TRUCK, Bools, Floats, Ints
 from cad_env.world.geometry import box_hides, within
 from cad_env.world.state import OFF, World
 
@@ -147,16 +145,3 @@ def sense(world: World, outlines: Floats, observer: int, sensor: Sensing, key: I
         kind[found] = world.kind[target]
         found += 1
     return found
-
-
-def detect(world: World, observer: int, config: SensorConfig, key: Ints, step: int) -> Detections:
-    """What one vehicle's sensors report in one frame."""
-    pose = np.zeros(3)
-    sensor = sensing(config)
-    position, kind = np.zeros((MAX_TRACKS, 3)), np.zeros(MAX_TRACKS, np.int8)
-    fix_pose(world, observer, sensor, key, step, pose)
-    count = len(world.heading)
-    visible, near, outlines = np.zeros(count, np.bool_), np.zeros(count, np.int64), np.zeros((count, 3))
-    outline(world, outlines)
-    found = sense(world, outlines, observer, sensor, key, step, pose, position, kind, visible, near)
-    return Detections(step * STEP, position[:found].copy(), kind[:found].copy())

@@ -10,7 +10,7 @@ from cad_env.pipeline.codec import MAX_BYTES, read, write
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
-from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks
+from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks, view_at
 from cad_env.pipeline.radio import ACCEPTED, LOST, REACHES, Air, Link, empty_air, fate, fetch, send
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
@@ -60,16 +60,30 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
     """A fleet that has seen nothing yet."""
     count = len(rows)
     return Fleet(
-        rows, np.zeros((count, FRAMES, 3)), empty_tracks(count), empty_graph_arrays(count),
-        empty_graph_arrays(receivers, count), empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS),
-        empty_view(receivers),
-        empty_air(count, link, MAX_BYTES),
-        np.zeros((count, vehicles), np.bool_),
-        Report(*(np.zeros(n, np.int64) for n in (count, count, receivers, receivers))),
-        empty_graph_arrays(), np.zeros((MAX_MERGED_TRACKS, FRAMES)), np.zeros(3, np.int64), np.zeros((vehicles, 3)),
-        np.zeros(vehicles, np.int64), np.zeros((MAX_TRACKS, 3)), np.zeros(MAX_TRACKS, np.int8),
-        np.zeros(MAX_BYTES, np.uint8),
-    )  # fmt: skip
+        rows=rows,
+        trail=np.zeros((count, FRAMES, 3)),
+        tracks=empty_tracks(count),
+        window=empty_graph_arrays(count),
+        kept=empty_graph_arrays(receivers, count),
+        merged=empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS),
+        views=empty_view(receivers),
+        air=empty_air(count, link, MAX_BYTES),
+        visible=np.zeros((count, vehicles), np.bool_),
+        report=Report(
+            sent_bytes=np.zeros(count, np.int64),
+            refusal=np.zeros(count, np.int64),
+            received_bytes=np.zeros(receivers, np.int64),
+            lost=np.zeros(receivers, np.int64),
+        ),
+        message=empty_graph_arrays(),
+        weight=np.zeros((MAX_MERGED_TRACKS, FRAMES)),
+        header=np.zeros(3, np.int64),
+        outlines=np.zeros((vehicles, 3)),
+        near=np.zeros(vehicles, np.int64),
+        detection=np.zeros((MAX_TRACKS, 3)),
+        detected_kind=np.zeros(MAX_TRACKS, np.int8),
+        buffer=np.zeros(MAX_BYTES, np.uint8),
+    )
 
 
 @inlined_part
@@ -160,7 +174,7 @@ def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
 def fuse(fleet: Fleet, r: int) -> None:
     """Merge what receiver r knows by itself with what it holds of the others, in the order of their numbers."""
     merged, trail = _rows_at(fleet.merged, r), fleet.trail[r]
-    start_merge(merged, fleet.weight)
+    start_merge(merged)
     take_in(merged, fleet.weight, _rows_at(fleet.window, r), OTHERS, trail)
     for v in range(fleet.rows.shape[0]):
         if v != r:
@@ -171,7 +185,7 @@ def fuse(fleet: Fleet, r: int) -> None:
 @inlined_part
 def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     """Fill receiver r's view."""
-    row, view, trail = fleet.rows[r], _view_at(fleet.views, r), fleet.trail[r]
+    row, view, trail = fleet.rows[r], view_at(fleet.views, r), fleet.trail[r]
     observe_tracks(view, _rows_at(fleet.merged, r), trail)
     observe_ego(
         view, trail, routes, world.route[row], world.progress[row], world.speed[row],
@@ -194,12 +208,4 @@ def _tracks_at(stack: Tracks, v: int) -> Tracks:
     return Tracks(
         stack.used[v], stack.next_id[v], stack.id[v], stack.mean[v], stack.covariance[v], stack.height[v],
         stack.kind[v], stack.hits[v], stack.misses[v], stack.recent[v], stack.recent_mask[v],
-    )  # fmt: skip
-
-
-@inlined_part
-def _view_at(stack: View, r: int) -> View:
-    return View(
-        stack.tracks[r], stack.mask[r], stack.kind[r], stack.odometry[r], stack.ego[r], stack.command[r],
-        stack.route[r], stack.oncoming[r],
     )  # fmt: skip

@@ -43,12 +43,18 @@ class Tracks(NamedTuple):
 def empty_tracks(*lead: int) -> Tracks:
     """No tracks yet; leading dimensions stack trackers."""
     return Tracks(
-        np.zeros((*lead, 1), np.int64), np.ones((*lead, 1), np.int64), np.zeros((*lead, MAX_TRACKS), np.int64),
-        np.zeros((*lead, MAX_TRACKS, 4)), np.zeros((*lead, MAX_TRACKS, 3)), np.zeros((*lead, MAX_TRACKS)),
-        np.zeros((*lead, MAX_TRACKS), np.int8), np.zeros((*lead, MAX_TRACKS), np.int64),
-        np.zeros((*lead, MAX_TRACKS), np.int64),
-        np.zeros((*lead, MAX_TRACKS, BIRTH_HITS, 3)), np.zeros((*lead, MAX_TRACKS, BIRTH_HITS), np.bool_),
-    )  # fmt: skip
+        used=np.zeros((*lead, 1), np.int64),
+        next_id=np.ones((*lead, 1), np.int64),
+        id=np.zeros((*lead, MAX_TRACKS), np.int64),
+        mean=np.zeros((*lead, MAX_TRACKS, 4)),
+        covariance=np.zeros((*lead, MAX_TRACKS, 3)),
+        height=np.zeros((*lead, MAX_TRACKS)),
+        kind=np.zeros((*lead, MAX_TRACKS), np.int8),
+        hits=np.zeros((*lead, MAX_TRACKS), np.int64),
+        misses=np.zeros((*lead, MAX_TRACKS), np.int64),
+        recent=np.zeros((*lead, MAX_TRACKS, BIRTH_HITS, 3)),
+        recent_mask=np.zeros((*lead, MAX_TRACKS, BIRTH_HITS), np.bool_),
+    )
 
 
 @compiled

@@ -19,6 +19,7 @@ import numpy as np
 
 from cad_env.config import SensorConfig, check_range
 from cad_env.numerics.jit import compiled
+from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.pipeline.sense import MOUNT
 from cad_env.rules.planner import (
     SLOWEST,
@@ -199,25 +200,21 @@ def may_go(way: Floats, ego: Floats, boxes: Floats, oncoming: Ints, axis: float,
 
 
 @compiled
-def decide_cautiously(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
-                      oncoming: Ints, rule: Rule, caution: Caution) -> int:  # fmt: skip
-    """GO or BRAKE on the fields of an observation."""
-    way, own = way_of(route), ego.astype(np.float64)
-    others = known_vehicles(tracks, mask, kind, odometry, way)
-    if decide(way, own, others, oncoming_stretch(oncoming, ROUTE_SPACING), rule) == BRAKE:
+def decide_cautiously(view: View, rule: Rule, caution: Caution) -> int:
+    """GO or BRAKE on an observation."""
+    way, own = way_of(view.route), view.ego.astype(np.float64)
+    others = known_vehicles(view, way)
+    if decide(way, own, others, oncoming_stretch(view.oncoming, ROUTE_SPACING), rule) == BRAKE:
         return BRAKE
     axis = math.atan2(way[-1, 1] - way[-2, 1], way[-1, 0] - way[-2, 0])
-    return GO if may_go(way, own, boxes_of(others, axis), oncoming, axis, caution) else BRAKE
+    return GO if may_go(way, own, boxes_of(others, axis), view.oncoming, axis, caution) else BRAKE
 
 
 @compiled
-def decide_cautiously_on_all(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
-                             oncoming: Ints, rule: Rule, caution: Caution, chosen: Ints) -> None:  # fmt: skip
+def decide_cautiously_on_all(views: View, rule: Rule, caution: Caution, chosen: Ints) -> None:
     """Write the decisions on observations, stacked along a first axis, to chosen (n,)."""
     for k in range(chosen.shape[0]):
-        chosen[k] = decide_cautiously(
-            tracks[k], mask[k], kind[k], odometry[k], ego[k], route[k], oncoming[k], rule, caution
-        )
+        chosen[k] = decide_cautiously(view_at(views, k), rule, caution)
 
 
 @dataclass
@@ -236,9 +233,6 @@ class Cautious:
 
     def act_batch(self, observations: Observation) -> Ints:
         """GO or BRAKE, (n,), on observations stacked along a first axis."""
-        seen, chosen = observations, np.empty(len(observations["mask"]), np.int64)
-        decide_cautiously_on_all(
-            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"],
-            seen["oncoming"], self.config.rules.rule, self.config.caution, chosen,
-        )  # fmt: skip
+        chosen = np.empty(len(observations["mask"]), np.int64)
+        decide_cautiously_on_all(view_of(observations), self.config.rules.rule, self.config.caution, chosen)
         return chosen

@@ -17,6 +17,7 @@ import numpy as np
 
 from cad_env.config import check_range
 from cad_env.numerics.jit import compiled
+from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.rules.motion import fit_motion, lane_heading
 from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, TRUCK, Floats, Ints, Observation
 from cad_env.world.drivers import COMMANDED_BRAKING, idm_acceleration
@@ -157,35 +158,33 @@ def way_of(route: Floats) -> Floats:
 
 
 @compiled
-def known_vehicles(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, way: Floats) -> Floats:
+def known_vehicles(view: View, way: Floats) -> Floats:
     """Every track of an observation whose motion is known, as a row (n, 6) of `others` in `contact_ahead`."""
-    others = np.empty((mask.shape[0], 6))
+    others = np.empty((view.mask.shape[0], 6))
     n = 0
-    for k in range(mask.shape[0]):
-        if fit_motion(tracks[k], mask[k], odometry, others[n]):
+    for k in range(view.mask.shape[0]):
+        if fit_motion(view.tracks[k], view.mask[k], view.odometry, others[n]):
             others[n, 2] = lane_heading(way, others[n, 2])
-            length, width = TRUCK_SIZE if kind[k] == TRUCK else CAR_SIZE
+            length, width = TRUCK_SIZE if view.kind[k] == TRUCK else CAR_SIZE
             others[n, 4], others[n, 5] = length, width
             n += 1
     return others[:n]
 
 
 @compiled
-def decide_on_view(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
-                   oncoming: Ints, rule: Rule) -> int:  # fmt: skip
-    """The planner's decision on the fields of an observation."""
-    way = way_of(route)
-    others = known_vehicles(tracks, mask, kind, odometry, way)
-    stretch = oncoming_stretch(oncoming, ROUTE_SPACING)
-    return decide(way, ego.astype(np.float64), others, stretch, rule)
+def decide_on_view(view: View, rule: Rule) -> int:
+    """The planner's decision on an observation."""
+    way = way_of(view.route)
+    others = known_vehicles(view, way)
+    stretch = oncoming_stretch(view.oncoming, ROUTE_SPACING)
+    return decide(way, view.ego.astype(np.float64), others, stretch, rule)
 
 
 @compiled
-def decide_on_views(tracks: Floats, mask: Ints, kind: Ints, odometry: Floats, ego: Floats, route: Floats,
-                    oncoming: Ints, rule: Rule, chosen: Ints) -> None:  # fmt: skip
+def decide_on_views(views: View, rule: Rule, chosen: Ints) -> None:
     """Write the planner's decisions on observations, stacked along a first axis, to chosen (n,)."""
     for k in range(chosen.shape[0]):
-        chosen[k] = decide_on_view(tracks[k], mask[k], kind[k], odometry[k], ego[k], route[k], oncoming[k], rule)
+        chosen[k] = decide_on_view(view_at(views, k), rule)
 
 
 @dataclass
@@ -200,17 +199,10 @@ class Planner:
 
     def act(self, observation: Observation) -> int:
         """GO or BRAKE on an observation."""
-        seen = observation
-        return decide_on_view(
-            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"],
-            seen["oncoming"], self.config.rule,
-        )  # fmt: skip
+        return decide_on_view(view_of(observation), self.config.rule)
 
     def act_batch(self, observations: Observation) -> Ints:
         """GO or BRAKE, (n,), on observations stacked along a first axis."""
-        seen, chosen = observations, np.empty(len(observations["mask"]), np.int64)
-        decide_on_views(
-            seen["tracks"], seen["mask"], seen["kind"], seen["odometry"], seen["ego"], seen["route"],
-            seen["oncoming"], self.config.rule, chosen,
-        )  # fmt: skip
+        chosen = np.empty(len(observations["mask"]), np.int64)
+        decide_on_views(view_of(observations), self.config.rule, chosen)
         return chosen

@@ -102,11 +102,12 @@ class GraphExchange:
         """What `share` has chosen, from vehicle v now; ValueError for what is not a graph that can be sent."""
         if not isinstance(graph, Graph):
             raise TypeError(f"share must return a Graph or None, got {type(graph).__name__}")
-        graph = newest(replace(graph, sender=v, time=STEP * self.step), self.depth)
+        check_arrays(graph)
         if len(graph.track) > MAX_TRACKS:
             raise ValueError(f"share must return at most {MAX_TRACKS} tracks, got {len(graph.track)}")
+        graph = replace(graph, sender=v, time=STEP * self.step)
         check_graph(graph)
-        return graph
+        return newest(graph, self.depth)
 
     def _receive(self) -> None:
         report, step = self._scene.fleet.report, self.step
@@ -133,6 +134,9 @@ class GraphExchange:
         codec = shipped if self._codec is None else self._codec
         try:
             graph = codec.decode(message)
+            if not isinstance(graph, Graph):
+                raise TypeError(f"codec must decode to a Graph, got {type(graph).__name__}")
+            check_arrays(graph)
             check_graph(graph)
         except (DecodeError, ValueError):
             return None
@@ -140,6 +144,18 @@ class GraphExchange:
         if graph.sender != sender or abs(graph.time - sent_at) > 0.5 * STEP or len(graph.track) > MAX_TRACKS:
             return None
         return graph_arrays(graph)
+
+
+def check_arrays(graph: Graph) -> None:
+    """Refuse what is not an array of the right kind of numbers with a one-line ValueError that names it."""
+    for name, kinds, what in (
+        ("track", "iu", "whole numbers (K,)"), ("position", "f", "m (K, T, 3)"), ("mask", "b", "bools (K, T)"),
+        ("kind", "iu", "whole numbers (K,)"),
+    ):  # fmt: skip
+        part = getattr(graph, name)
+        if not isinstance(part, np.ndarray) or part.ndim == 0 or part.dtype.kind not in kinds:
+            found = f"{part.dtype} {part.shape}" if isinstance(part, np.ndarray) else type(part).__name__
+            raise ValueError(f"{name} of a graph must be an array of {what}, got {found}")
 
 
 def newest(graph: Graph, depth: int) -> Graph:

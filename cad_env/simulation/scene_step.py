@@ -109,11 +109,21 @@ def _kind() -> Any:
     link = link_of(RadioConfig())
     return typeof(
         SceneState(
-            empty_world(0), empty_routes(), new_fleet(np.zeros(1, np.int64), 0, 1, link), sensing(SensorConfig()), link,
-            FRAMES, np.zeros((2, 2), np.uint64), np.zeros(1, np.int64), np.zeros(1, np.int64), 0.0, 0.0,
-            _no_step_info(1), np.zeros(0),
+            world=empty_world(0),
+            routes=empty_routes(),
+            fleet=new_fleet(np.zeros(1, np.int64), 0, 1, link),
+            sensor=sensing(SensorConfig()),
+            link=link,
+            depth=FRAMES,
+            keys=np.zeros((2, 2), np.uint64),
+            clock=np.zeros(1, np.int64),
+            actions=np.zeros(1, np.int64),
+            goal=0.0,
+            way=0.0,
+            step_info=_no_step_info(1),
+            scratch=np.zeros(0),
         )
-    )  # fmt: skip
+    )
 
 
 KIND = _kind()

@@ -79,10 +79,20 @@ class Simulation:
         goal, step_info = self.scene.goal, self._batch_state.step_info_at(self._place)
         step_info.min_ttc[0], step_info.progress[0] = math.inf, self.world.progress[0]
         self._scene_state = SceneState(
-            self.world, self.map.routes, self.fleet, self._sensor, self._link, self.setup.depth, self._keys,
-            np.zeros(1, np.int64), np.zeros(len(self.agents), np.int64), float(goal),
-            float(goal - self.world.progress[0]), step_info, np.zeros(vehicles),
-        )  # fmt: skip
+            world=self.world,
+            routes=self.map.routes,
+            fleet=self.fleet,
+            sensor=self._sensor,
+            link=self._link,
+            depth=self.setup.depth,
+            keys=self._keys,
+            clock=np.zeros(1, np.int64),
+            actions=np.zeros(len(self.agents), np.int64),
+            goal=float(goal),
+            way=float(goal - self.world.progress[0]),
+            step_info=step_info,
+            scratch=np.zeros(vehicles),
+        )
         self._batch_state.put(self._place, self._scene_state)
         if self.sharing is not None:
             self.sharing.start(self._scene_state, seed)
@@ -143,6 +153,11 @@ class Simulation:
         return self._scene_state.step_info.reward.item()
 
     @property
+    def min_ttc(self) -> float:
+        """s, the least time to contact of the ego so far; inf if nothing was on a collision course."""
+        return self._scene_state.step_info.min_ttc.item()
+
+    @property
     def way(self) -> float:
         """m from the start of the ego to its goal."""
         return self._scene_state.way
@@ -175,7 +190,7 @@ class Simulation:
             "crashed": outcome == COLLISION,
             "outcome": outcome,
             "is_success": outcome == SUCCESS,
-            "min_ttc": step_info.min_ttc.item(),
+            "min_ttc": self.min_ttc,
             "bytes_sent": step_info.bytes_sent.item(),
             "bytes_received": step_info.bytes_received.item(),
             "largest_message": step_info.largest_message.item(),

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import cad_env
-from cad_env import DecodeError, Graph
+from cad_env import DecodeError, Graph, Planner
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,6 @@ class JsonCodec:
 
 def main(episodes: int = 20) -> None:
     """Print what each way of sharing costs, and how often rules on the shared view collide."""
-    from cad_env.rules.planner import Planner
-
     ways: dict[str, dict] = {
         "own format": {}, "nearest 2": {"share": NearestOnly(2)}, "JSON": {"codec": JsonCodec()},
         "nothing": {"radio": "none"},

@@ -6,7 +6,6 @@ keeping. A file that is missing, damaged or of something else is made anew, so t
 
 import hashlib
 import json
-import sys
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -16,9 +15,11 @@ from torch import nn
 
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.simulation.setup import Setup
+from cad_env.version import code_digest
 from policies.spec import Frames, NetworkSpec
 from policies.training.array_file import ArrayFileError, read_arrays, write_arrays
 from policies.training.demonstrations import Demonstrations, replay, scenes_of
+from policies.version import network_version
 
 FORMAT = 2
 
@@ -58,10 +59,8 @@ def _settings(of: object) -> dict[str, Any]:
 
 @cache
 def _code_of(module: str) -> str:
-    """Digest of the code of a spec and of all that stands beside it, and here: an edit may change what is kept."""
-    folders = {Path(__file__).parent, Path(str(sys.modules[module].__file__)).parent}
-    sources = sorted(path for folder in folders for path in folder.glob("*.py"))
-    return hashlib.sha256(b"".join(path.name.encode() + path.read_bytes() for path in sources)).hexdigest()
+    """Digest of the code of a spec's networks and of what sees frames here: an edit may change what is kept."""
+    return network_version(module) + code_digest([Path(__file__).parent])
 
 
 def _digest_of(recorded: Demonstrations) -> str:

@@ -7,15 +7,14 @@ import re
 import numpy as np
 import pytest
 from scenes import boxes
+from stages import detect, nodes_and_edges
 
 import cad_env
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_names, check_range, radio_config
 from cad_env.numerics.philox import stream_key
-from cad_env.pipeline.graph import nodes_and_edges
 from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays, row_of, slide
-from cad_env.pipeline.sense import detect
 from cad_env.simulation.setup import Setup, setup_from
-from cad_env.types import BRAKE, FRAMES, GO, MAX_TRACKS, STEP, Command, Graph, Message, Policy
+from cad_env.types import BRAKE, FRAMES, GO, MAX_TRACKS, STEP, Command, Graph, Policy
 
 RANGES = [
     (SensorConfig, "sensor", "range", 1.0, 500.0),
@@ -77,7 +76,7 @@ def test_a_delay_is_rounded_up_to_whole_steps(delay: float, steps: int):
 def test_presets_and_records_cannot_be_changed():
     with pytest.raises(TypeError):
         RADIO_PRESETS["dsrc"] = RadioConfig()
-    for record in (RadioConfig(), SensorConfig(), Setup(), Message(0, 0.0, b"")):
+    for record in (RadioConfig(), SensorConfig(), Setup()):
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(record, dataclasses.fields(record)[0].name, 1)
 

@@ -128,7 +128,7 @@ def heard_again(fleet: Fleet, senders: list[int]) -> GraphArrays:
         np.zeros((MAX_MERGED_TRACKS, FRAMES)),
         fleet.trail[0],
     )
-    start_merge(merged, weight)
+    start_merge(merged)
     take_in(merged, weight, GraphArrays(*(part[0] for part in fleet.window)), OTHERS, trail)
     for sender in range(1, len(fleet.rows)):
         take_in(merged, weight, GraphArrays(*(part[sender] for part in kept)), ALL, trail)

@@ -12,6 +12,7 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.types import BRAKE, GO
 
 SEED = 3
+FLEET = {"ranges": {"collaborators": (3, 3)}}
 
 
 def everything(step: StepOutcome) -> float:
@@ -31,14 +32,13 @@ def test_the_default_as_a_function_is_the_default(radio: str) -> None:
         named, own = make(radio=radio), make(radio=radio, reward=same)
         for env in (named, own):
             env.reset(seed=SEED)
-        for k in range(60):
-            if make is CADParallelEnv and not named.agents:
-                break
-            one, other = (
-                env.step(int(k % 3 == 0) if make is CADEnv else dict.fromkeys(env.agents, GO))[1]
-                for env in (named, own)
+        for k in range(300):
+            (_, one, terminated, truncated, _), (_, other, *_) = (
+                env.step(int(k % 3 == 0) if make is CADEnv else dict.fromkeys(env.agents, GO)) for env in (named, own)
             )
-            assert one == pytest.approx(other, abs=1e-15)
+            assert one == other
+            if terminated or truncated if make is CADEnv else not named.agents:
+                break
 
 
 def test_a_step_says_what_happened() -> None:
@@ -59,11 +59,31 @@ def test_a_step_says_what_happened() -> None:
     assert all(later.time == pytest.approx(step.time + 0.1) for step, later in pairwise(steps))
     assert {step.action for step in steps} == {GO}
     assert {step.hazard for step in steps} == {False}
+    assert steps[-1].min_ttc == info["min_ttc"]
+    assert all(later.min_ttc <= step.min_ttc for step, later in pairwise(steps))
     assert 0 < steps[20].bytes_sent < info["bytes_sent"] + 1
     assert steps[20].travelled == pytest.approx(0.1 * steps[20].speed, rel=0.1)
     env.reset(seed=SEED)
     env.step(BRAKE)
     assert steps[-1].action == BRAKE
+
+
+def test_the_least_time_to_contact_of_every_agent_is_its_own() -> None:
+    least: dict[type, list[float]] = {CADEnv: [], CADParallelEnv: []}
+    env = CADEnv(reward=lambda step: least[CADEnv].append(step.min_ttc) or 0.0, **FLEET)
+    _, info = env.reset(seed=SEED, options={"hazard": True})
+    while info["outcome"] is None:
+        _, _, _, _, info = env.step(GO)
+    fleet = CADParallelEnv(reward=lambda step: step.min_ttc, ranges=FLEET["ranges"])
+    fleet.reset(seed=SEED, options={"hazard": True})
+    differs = False
+    while "cav_0" in fleet.agents:
+        _, rewards, *_ = fleet.step(dict.fromkeys(fleet.agents, GO))
+        least[CADParallelEnv].append(rewards["cav_0"])
+        differs |= len(set(rewards.values())) > 1
+    assert least[CADEnv] == least[CADParallelEnv]
+    assert least[CADEnv][-1] == info["min_ttc"] < 1.0
+    assert differs
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])

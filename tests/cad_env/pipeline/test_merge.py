@@ -29,7 +29,7 @@ def graph(*paths: Path, frames: int = FRAMES, first_id: int = 1, kind: int = CAR
 
 def merge(own: GraphArrays, *kept: GraphArrays, first: int = 0, trail: np.ndarray = FAR) -> GraphArrays:
     merged, weight = empty_graph_arrays(rows=MAX_MERGED_TRACKS), np.zeros((MAX_MERGED_TRACKS, FRAMES))
-    start_merge(merged, weight)
+    start_merge(merged)
     take_in(merged, weight, own, first, trail)
     for rows in kept:
         take_in(merged, weight, rows, 0, trail)

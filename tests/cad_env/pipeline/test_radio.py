@@ -6,6 +6,7 @@ from itertools import groupby, permutations, product
 
 import numpy as np
 import pytest
+from message_radio import Message, Radio
 
 from cad_env.config import RADIO_PRESETS, RadioConfig
 from cad_env.numerics.philox import stream_key, uniform
@@ -19,7 +20,6 @@ from cad_env.pipeline.radio import (
     REASONS,
     SECOND_MESSAGE,
     TOO_LONG,
-    Radio,
     empty_air,
     fate,
     fate_at,
@@ -27,7 +27,6 @@ from cad_env.pipeline.radio import (
     link_of,
     send,
 )
-from cad_env.types import Message
 
 NEAR = {i: (10.0 * i, 0.0) for i in range(4)}
 CLEAR = RadioConfig(loss=0.0)

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import boxes
+from stages import detect
 
 from cad_env.config import SensorConfig
 from cad_env.numerics.philox import stream_key
-from cad_env.pipeline.sense import CENTRE_HEIGHT, MOUNT, can_see, detect, fix_pose, outline, sensing
+from cad_env.pipeline.sense import CENTRE_HEIGHT, MOUNT, can_see, fix_pose, outline, sensing
 from cad_env.types import CAR, TRUCK
 from cad_env.world.geometry import box_hides
 from cad_env.world.state import OFF, World

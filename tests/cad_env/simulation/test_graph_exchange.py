@@ -2,6 +2,7 @@
 
 import copy
 import json
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -15,7 +16,7 @@ from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.pipeline import codec as shipped
 from cad_env.pipeline.varint import DecodeError
-from cad_env.types import FRAMES, Graph
+from cad_env.types import FRAMES, MAX_TRACKS, Graph
 
 SEED = 5
 RADIOS = {
@@ -88,6 +89,19 @@ class Broken(Wrapped):
 
     def decode(self, payload: bytes) -> Graph:
         raise DecodeError("no")
+
+
+def crowd(tracks: int) -> Graph:
+    """A graph with so many tracks."""
+    shape = (tracks, FRAMES)
+    return Graph(0, 0.0, np.arange(tracks), np.zeros((*shape, 3)), np.ones(shape, np.bool_), np.zeros(tracks, np.int8))
+
+
+class Vague(Wrapped):
+    """Decodes to nothing at all."""
+
+    def decode(self, payload: bytes) -> Graph:
+        return None  # type: ignore[return-value]
 
 
 def episode(steps: int = 40, seed: int = SEED, **options: Any) -> list[Any]:
@@ -164,6 +178,16 @@ def test_share_cannot_change_what_its_sender_knows() -> None:
         (lambda graph: replace(graph, track=graph.track * 0), "track ids must be unique"),
         (lambda graph: replace(graph, position=graph.position * np.nan), "coordinate in m"),
         (lambda graph: replace(graph, mask=graph.mask[:, :3]), "have the shapes"),
+        (lambda graph: replace(graph, position=graph.position[0, 0]), "have the shapes"),
+        (
+            lambda graph: replace(graph, position=None),
+            r"position of a graph must be an array of m \(K, T, 3\), got None",
+        ),
+        (lambda graph: replace(graph, track=graph.track + 0.5), "track of a graph must be an array of whole numbers"),
+        (lambda graph: replace(graph, kind=graph.kind.tolist()), "kind of a graph must be an array .*, got list"),
+        (lambda graph: replace(graph, mask=graph.mask * 1.0), "mask of a graph must be an array of bools"),
+        (lambda graph: replace(graph, kind=graph.kind + 2), "kind must be from 0 to 1"),
+        (lambda graph: crowd(MAX_TRACKS + 1), "at most 32 tracks, got 33"),
     ],
 )
 def test_what_is_no_graph_is_refused_in_one_line(wrong: Callable[[Graph], Graph], said: str) -> None:
@@ -174,6 +198,8 @@ def test_what_is_no_graph_is_refused_in_one_line(wrong: Callable[[Graph], Graph]
 def test_anything_but_a_graph_or_bytes_is_refused() -> None:
     with pytest.raises(TypeError, match="share must return a Graph or None, got int"):
         episode(radio="ideal", share=lambda graph: 3)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="codec must decode to a Graph, got NoneType"):
+        episode(radio="ideal", codec=Vague())
     with pytest.raises(ValueError, match="share must be None or a function"):
         CADEnv(share="all")
     with pytest.raises(ValueError, match="codec must be None or have encode and decode"):
@@ -220,6 +246,18 @@ def test_a_copy_in_the_middle_goes_on_as_the_original() -> None:
         one, other = env.step(0), twin.step(0)
         assert all(np.array_equal(one[0][name], other[0][name]) for name in one[0])
         assert one[4]["bytes_received"] == other[4]["bytes_received"]
+
+
+def test_it_goes_to_other_processes() -> None:
+    here = CADEnv(radio={"delay": 0.1}, share=own_body, codec=Wrapped()).simulation
+    here.start(SEED)
+    there = pickle.loads(pickle.dumps(here))
+    for _ in range(5):
+        for each in (here, there):
+            each.step(np.zeros(len(each.agents), np.int64))
+    one, other = here.observation(0), there.observation(0)
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+    assert here.info()["bytes_received"] == there.info()["bytes_received"] > 0
 
 
 def test_the_names_are_public() -> None:

@@ -50,9 +50,19 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
             )
         for file in MODEL_FILES:
             known.update((folder / file).read_bytes() if (folder / file).exists() else b"")
+        known.update(_code_of_network(method).encode())
     if is_reference(name):
         known.update(module_source(name))
     return known.hexdigest()[:16]
+
+
+def _code_of_network(method: Method) -> str:
+    """Digest of the code of a learned method's network; that of one from outside is its module's, beside."""
+    from policies.registry import SPECS
+    from policies.version import network_version
+
+    spec = "" if method.learned is None else method.learned.spec
+    return network_version(SPECS[spec]) if spec in SPECS else ""
 
 
 @lru_cache(CACHED)

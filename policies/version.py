@@ -1,5 +1,6 @@
 """What marks the answers of a network, beside `cad_env.version.version()`: a digest of the code that it is made of."""
 
+import sys
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +18,10 @@ def network_version(module: str) -> str:
 
     Covered are all of its package, or the file alone where it is in none, and what networks share.
     """
-    found = find_spec(module)  # without importing it: tables are made without torch
-    source = Path(str(found.origin if found else None))
+    if module in sys.modules:
+        source = Path(str(sys.modules[module].__file__))
+    else:  # found without importing it: tables are made without torch
+        found = find_spec(module)
+        source = Path(str(found.origin if found else None))
     own = source.parent if (source.parent / "__init__.py").exists() and source.parent != POLICIES else source
     return code_digest([own, *(POLICIES / part for part in SHARED_CODE)])

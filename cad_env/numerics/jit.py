@@ -2,8 +2,8 @@
 
 Numba's own cache notices a change in the file of a compiled function, but not in the files of the functions
 it calls. Here the cache folder is named after the content of every source file of the function's package and of
-this one, so any edit anywhere starts a new cache. It lives in the user's cache folder, so a read-only installation
-works.
+this one, so any edit starts a new cache; but for the rooms of this package that nothing compiled may import. It lives
+in the user's cache folder, so a read-only installation works.
 """
 
 import hashlib
@@ -19,6 +19,8 @@ import numba
 from numba.core import config as numba_config
 
 _PACKAGE = Path(__file__).parent.parent  # cad_env
+# Rooms above all that is compiled: the import contracts keep compiled code from reading anything there.
+_NOT_COMPILED = ("animation.py", "scoring", "envs", "rendering")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -84,7 +86,8 @@ def cache_folder(package: Path = _PACKAGE) -> Path:
     digest = hashlib.sha256()
     for folder in sorted({package, _PACKAGE}):
         for source in sorted(folder.rglob("*.py")):
-            digest.update(source.read_bytes())
+            if folder != _PACKAGE or source.relative_to(folder).parts[0] not in _NOT_COMPILED:
+                digest.update(source.read_bytes())
     name = digest.hexdigest()[:16]
     for parent in _candidate_parents():
         folder = parent / "cad-env" / name

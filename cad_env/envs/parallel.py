@@ -21,10 +21,9 @@ from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
 from cad_env.scenarios.registry import scenario_of_id
 from cad_env.scenarios.scenario import Scenario
-from cad_env.simulation.scene_step import MAX_STEPS
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
-from cad_env.types import COLLISION, GO, SUCCESS, TIMEOUT, Floats, Ints, Observation
+from cad_env.types import COLLISION, GO, MAX_STEPS, SUCCESS, TIMEOUT, Floats, Ints, Observation
 from cad_env.world.state import Truth
 from cad_env.world.time_to_contact import time_to_contact
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cad_env.numerics.jit import compiled
-from cad_env.rules.planner import PlannerConfig, Rule, decide, oncoming_stretch
+from cad_env.rules.planner import PlannerConfig, Rule, decide, oncoming_stretch, stopping_distance
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.scenario import Scenario
 from cad_env.simulation.scene_step import Truths, scene_at
@@ -31,7 +31,7 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
     route = world.route[row]
     here = min(int(world.progress[row] / routes.spacing + 0.5), last)
     stretch = oncoming_stretch(routes.oncoming[route, here:], routes.spacing)
-    seen = rule.look_ahead * max(world.speed[row], world.target_speed[row])
+    seen = stopping_distance(world.speed[row]) + rule.clear
     if stretch[0] <= rule.gate:
         seen = max(seen, stretch[1])
     way = np.empty((int(seen / ROUTE_SPACING) + 3, 2))

@@ -1,9 +1,10 @@
 """The rules: brake if going now would end in a contact. On any knowledge: own, shared or true.
 
-The ego runs along its way as its driver would; every other vehicle keeps its velocity. Only crossing and oncoming
-vehicles count: following the stream is the driver model's work. A vehicle's body is lengthened by what it travels
-in `ahead` and `behind` seconds, so that the ego neither cuts in before it nor slips in just behind it: this
-*waiting* rule is what a clone can learn from what it sees (a clone that copies a close shave misses it).
+The ego runs along its way as its driver would, up to `clear` metres beyond the place where it could still stop; every
+other vehicle keeps its velocity. Crossing, oncoming and merging vehicles count; who is on the ego's own way and heads
+along it does not: to follow it is the driver model's work. A vehicle's body is lengthened by what it travels in
+`ahead` and `behind` seconds, so that the ego neither cuts in before it nor slips in just behind it: imitating near
+misses leads to collisions.
 Once waiting would leave the ego in the way, only true contacts count: it goes if that is free and braking is not.
 Before a stretch on which it drives in a lane of oncoming traffic the ego looks as far ahead as it needs to be through
 with it, and waits at its gate: once it is out there, braking does not help.
@@ -25,14 +26,17 @@ from cad_env.world.geometry import boxes_touch
 from cad_env.world.state import COMMAND_DELAY
 
 SLOWEST = 1.5  # m/s, below which a vehicle is taken to stand
-CROSSING = math.radians(40)  # rad between the ego's heading and another's, above which it is not the same stream
+CROSSING = math.radians(40)  # rad between a way's heading and a vehicle's, above which it does not drive along it
+ALONG = math.cos(CROSSING)
+BESIDE = 1.75  # m beside a way, half a lane, up to which a vehicle that heads along it is on it
+BEYOND = 100.0  # m before the beginning and past the end of a way, up to which one is on it too
 CAR_SIZE, TRUCK_SIZE = (4.8, 2.0), (12.0, 2.6)  # m, what a track of each class is taken to be
 
 
 class Rule(NamedTuple):
     """A PlannerConfig as compiled code sees it."""
 
-    look_ahead: float
+    clear: float
     ahead: float
     behind: float
     margin: float
@@ -43,14 +47,14 @@ class Rule(NamedTuple):
 class PlannerConfig:
     """How careful the rules are."""
 
-    look_ahead: float = 2.0  # s; longer, and it brakes for what no connected vehicle can see yet
+    clear: float = 14.0  # m beyond its stopping distance, up to which the way must be free: over a lane that crosses
     ahead: float = 0.7  # s of its travel by which a vehicle is lengthened in front ...
-    behind: float = 2.0  # s ... and behind
+    behind: float = 0.5  # s ... and behind
     margin: float = 0.5  # m around every vehicle
     gate: float = 15.0  # m before an oncoming lane, where all of the way through it must be free
 
     def __post_init__(self) -> None:
-        check_range("look_ahead", self.look_ahead, STEP, 30.0)
+        check_range("clear", self.clear, 0.0, 60.0)
         check_range("ahead", self.ahead, 0.0, 10.0)
         check_range("behind", self.behind, 0.0, 10.0)
         check_range("margin", self.margin, 0.0, 5.0)
@@ -59,7 +63,7 @@ class PlannerConfig:
     @property
     def rule(self) -> Rule:
         """The compiled code's view."""
-        return Rule(float(self.look_ahead), float(self.ahead), float(self.behind), float(self.margin), float(self.gate))
+        return Rule(float(self.clear), float(self.ahead), float(self.behind), float(self.margin), float(self.gate))
 
 
 @compiled
@@ -75,7 +79,7 @@ def box_on_way(way: Floats, arc: float) -> tuple[float, float, float]:
 @compiled
 def contact_ahead(way: Floats, ego: Floats, others: Floats, braking: bool, seconds: float, ahead: float,
                   behind: float, margin: float) -> bool:  # fmt: skip
-    """True if the ego would touch a crossing vehicle within `seconds`.
+    """True if the ego would touch a vehicle that moves within `seconds`.
 
     way (P, 2) m, from the ego's position on; ego (4,) speed, wanted speed, length, width;
     others (n, 6) x, y, heading, speed, length, width, in the frame of the way.
@@ -85,8 +89,7 @@ def contact_ahead(way: Floats, ego: Floats, others: Floats, braking: bool, secon
         x, y, heading = box_on_way(way, arc)
         for k in range(others.shape[0]):
             pace = others[k, 3]
-            turn = others[k, 2] - heading
-            if pace < SLOWEST or math.cos(turn) > math.cos(CROSSING):
+            if pace < SLOWEST:
                 continue
             shift = pace * (time + 0.5 * (ahead - behind))
             if boxes_touch(
@@ -102,6 +105,35 @@ def contact_ahead(way: Floats, ego: Floats, others: Floats, braking: bool, secon
         speed = max(speed + acceleration * STEP, 0.0)
         time += STEP
     return False
+
+
+@compiled
+def is_on_way(way: Floats, x: float, y: float, heading: float) -> bool:
+    """True if a vehicle at (x, y) is on a way (P, 2), or in line with one of its ends, and heads along it."""
+    last = way.shape[0] - 2
+    for p in range(last + 1):
+        dx, dy = way[p + 1, 0] - way[p, 0], way[p + 1, 1] - way[p, 1]
+        length = math.hypot(dx, dy)
+        if length < 1e-6:
+            continue
+        ux, uy = dx / length, dy / length
+        along, beside = (x - way[p, 0]) * ux + (y - way[p, 1]) * uy, (y - way[p, 1]) * ux - (x - way[p, 0]) * uy
+        first, end = -BEYOND if p == 0 else 0.0, length + BEYOND if p == last else length
+        if abs(beside) < BESIDE and first <= along <= end and math.cos(heading) * ux + math.sin(heading) * uy > ALONG:
+            return True
+    return False
+
+
+@compiled
+def not_on_way(way: Floats, others: Floats) -> Floats:
+    """(m, 6) those of `others` (see `contact_ahead`) whom the ego does not just follow or lead."""
+    kept = np.empty_like(others)
+    n = 0
+    for k in range(others.shape[0]):
+        if others[k, 3] >= SLOWEST and not is_on_way(way, others[k, 0], others[k, 1], others[k, 2]):
+            kept[n] = others[k]
+            n += 1
+    return kept[:n]
 
 
 @compiled
@@ -136,7 +168,8 @@ def oncoming_stretch(oncoming: Ints, spacing: float) -> tuple[float, float]:
 @compiled
 def decide(way: Floats, ego: Floats, others: Floats, stretch: tuple[float, float], rule: Rule) -> int:
     """GO or BRAKE by the rules of this module; `stretch` as from `oncoming_stretch`, the rest as in `contact_ahead`."""
-    seconds, ahead, behind = rule.look_ahead, rule.ahead, rule.behind
+    others = not_on_way(way, others)
+    seconds, ahead, behind = seconds_for(ego, stopping_distance(ego[0]) + rule.clear), rule.ahead, rule.behind
     if stretch[0] <= rule.gate:
         seconds = max(seconds, seconds_for(ego, stretch[1]))
         if stretch[0] < stopping_distance(ego[0]):  # too late to wait: only true contacts count

@@ -9,7 +9,8 @@ from cad_env.types import Command, Floats
 
 _LANE = 3.5  # m wide
 STOP_LINE = 12.0  # m from the centre: two lanes, a kerb and a crosswalk
-ARM = 250.0  # m from the centre to the end of an arm
+ARM = 850.0  # m from the far end of an arm to the centre: a stream of 20 m/s lasts 40 s
+OUT = 250.0  # m from the centre to where the roads out end
 LEFT, THROUGH = 0, 1  # lanes of an approach, from the middle of the road outwards
 TURN_RADIUS = STOP_LINE + _LANE / 2
 
@@ -31,7 +32,7 @@ def junction_network() -> RoadNetwork:
                 f"{arm}_far", f"{arm}_line", StraightLane(turn @ [x, -ARM], turn @ [x, -STOP_LINE], _LANE, lines)
             )
             network.add_lane(
-                f"{across}_out", f"{across}_end", StraightLane(turn @ [x, STOP_LINE], turn @ [x, ARM], _LANE, lines)
+                f"{across}_out", f"{across}_end", StraightLane(turn @ [x, STOP_LINE], turn @ [x, OUT], _LANE, lines)
             )
             network.add_lane(
                 f"{arm}_line",

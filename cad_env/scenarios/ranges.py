@@ -44,7 +44,6 @@ def share(value: float) -> Any:
 class Ranges:
     """What the actors of every scenario are drawn from; each adds its own. Nonsense is refused by name and value."""
 
-    hazard_share: float = share(0.5)  # share of episodes with a hazard
     collaborators: tuple[int, int] = count(2, 4, within=(0, 20))  # connected vehicles besides the ego
 
     def __post_init__(self) -> None:
@@ -58,18 +57,16 @@ class Ranges:
                 raise ValueError(f"{each.name} must be a pair of whole numbers, got {value!r}")
 
 
-def check_road(ranges: Any, way: float, start: float, road: float) -> None:
-    """Refuse ranges that could ask for a hidden vehicle which starts before its road does, by name and value.
+@dataclass(frozen=True)
+class StreamRanges(Ranges):
+    """The same with a hidden stream: platoons one after another, whose times know nothing of the ego.
 
-    way: m from where the ego starts at the latest to where they meet; start: share of its wanted speed that the ego
-    starts with at least; road: m from the beginning of the hidden vehicle's route to where they meet.
+    Each scenario says how fast they drive, how many vehicles a platoon has, and how far apart they come.
     """
-    latest = max([ranges.hazard_timing[1], *([ranges.late[0]] if hasattr(ranges, "late") else [])])
-    if (way / (start * ranges.ego_speed[0]) + latest) * ranges.collider_speed[1] > road:
-        raise ValueError(
-            f"ego_speed={ranges.ego_speed!r}, ego_start={ranges.ego_start!r}, collider_speed={ranges.collider_speed!r} "
-            f"ask for a vehicle that starts more than {road:g} m away: let the ego start nearer or faster"
-        )
+
+    empty_share: float = share(0.05)  # share of episodes without any hidden vehicle
+    attentive_share: float = share(0.5)  # share of drivers of the stream that react to who is across their way ...
+    reaction: Range = span(0.6, 1.4, within=(0.0, 5.0))  # s ... so long after they could
 
 
 def _check_span(name: str, value: Any, low: float, high: float) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
@@ -12,9 +12,13 @@ from cad_env.config import check_names
 from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
-from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows
-from cad_env.types import COMMANDS, MOST_COMMANDS, Command, Policy
+from cad_env.scenarios.scene import OCCLUDER, Actors, Placement, Scene, connected_rows, place
+from cad_env.types import COMMANDS, MAX_STEPS, MOST_COMMANDS, Command, Policy
 from cad_env.world.state import Routes
+from cad_env.world.unbraked import who_is_met
+
+MOST_DRAWS = 1000  # of the actors of an episode, until they are of the kind that was asked for
+_TRIED = 100  # seeds by which the number of actors is known
 
 
 @dataclass(frozen=True, eq=False)  # compared and hashed as the one object it is
@@ -51,7 +55,7 @@ class Scenario:
     ranges: type[Any]  # a Ranges record
     network: Callable[[], RoadNetwork]
     plans: tuple[RoutePlan, ...]
-    actors: Callable[[Map, Any, np.random.Generator, bool], Actors] = field(repr=False)
+    actors: Callable[[Map, Any, np.random.Generator], Actors] = field(repr=False)
     background: Callable[[Map, Actors, np.random.Generator], Groups] = field(repr=False)
     # Who knows the truth and shows how to drive: privileged and without memory. None: cad_env.rules.expert.Expert.
     expert: Callable[[], Policy] | None = field(default=None, repr=False)
@@ -88,28 +92,54 @@ class Scenario:
         return self.ranges(**overrides)
 
     def scene(self, ranges: Any, traffic: Traffic, seed: int, hazard: bool | None = None) -> Scene:
-        """The scene of an episode seed; `hazard` forces its kind, and leaves all others as they are drawn.
+        """The scene of an episode seed; `hazard` draws the actors again until they are of that kind.
 
-        Another density or penetration leaves the actors alone: they have streams of chance of their own.
+        Whether an episode is a hazard is not drawn: it is one if an ego that never brakes, alone with the actors,
+        touches anybody. Another density or penetration leaves the actors alone: they have random streams of their own.
         """
-        rng = generator(seed, "traffic")
-        drawn = bool(rng.random() < ranges.hazard_share)
-        told = drawn if hazard is None else hazard
-        actors = self.actors(self.map, ranges, rng, told)
-        further = generator(seed, "background")
+        drawn = self._drawn(ranges, generator(seed, "traffic"), hazard)
+        actors, further = drawn.actors, generator(seed, "background")
         count = int(further.integers(*DENSITIES[traffic.density], endpoint=True))
         placements = (*actors.vehicles, *_taken(self.background(self.map, actors, further), count, further))
-        connected = connected_rows(
-            placements, actors.witnesses, ranges.collaborators, traffic, generator(seed, "connection")
+        connected = connected_rows(placements, actors, ranges.collaborators, traffic, generator(seed, "connection"))
+        return Scene(
+            placements=placements,
+            connected=connected,
+            hazard=drawn.row >= 0,
+            hazard_row=drawn.row,
+            hazard_time=drawn.time,
+            occluder_row=OCCLUDER,
+            goal=actors.goal,
+            hidden=actors.hidden,
+            draws=drawn.draws,
         )
-        return Scene(placements, connected, told, HIDDEN, OCCLUDER, actors.goal, actors.timing)
+
+    def _drawn(self, ranges: Any, rng: np.random.Generator, hazard: bool | None) -> "_Drawn":
+        for draw in range(1, MOST_DRAWS + 1):
+            actors = self.actors(self.map, ranges, rng)
+            world = place(actors.vehicles, self.map.routes)
+            row, time = who_is_met(world, self.map.routes, actors.goal, MAX_STEPS)
+            if hazard is None or (row >= 0) == hazard:
+                return _Drawn(actors, row, time, draw)
+        raise ValueError(
+            f"no episode of {self.name} with hazard={hazard} in {MOST_DRAWS} draws: choose other ranges than {ranges!r}"
+        )
 
     def most_connected(self, ranges: Any, traffic: Traffic) -> int:
-        """No scene has more connected vehicles than this, the ego included."""
+        """How many vehicles are connected at the most, the ego included."""
         if traffic.penetration is None:
             return 1 + int(ranges.collaborators[1])
-        actors = self.actors(self.map, ranges, generator(0, "traffic"), True)
-        return len(actors.vehicles) - 1 + DENSITIES[traffic.density][1]
+        drawn = (self.actors(self.map, ranges, generator(seed, "traffic")) for seed in range(_TRIED))
+        return max(len(actors.vehicles) - len(actors.hidden) for actors in drawn) + DENSITIES[traffic.density][1]
+
+
+class _Drawn(NamedTuple):
+    """The actors of an episode, whom an ego that never brakes would meet (-1: nobody) and when, and the draws."""
+
+    actors: Actors
+    row: int
+    time: float  # s
+    draws: int
 
 
 def _check_name(name: Any) -> None:

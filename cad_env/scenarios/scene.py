@@ -10,7 +10,7 @@ from cad_env.scenarios.ranges import Traffic
 from cad_env.types import CAR
 from cad_env.world.state import IDM, Routes, World, empty_world
 
-EGO, OCCLUDER, HIDDEN = 0, 1, 2  # the first of the actors of every scene
+EGO, OCCLUDER = 0, 1  # the first of the actors of every scene
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class Placement:
     yaw: float = 0.0  # rad, counter-clockwise from the route
     stop_at: float = math.inf  # m along the route, where a red light stops it
     late_braking: float = 0.0  # m/s2 that stopping there must take before it begins to; 0: in good time
+    attention: float = math.inf  # s from when another is across its way until its driver reacts; inf: never
     bystander: bool = False  # True: sees nothing that matters; connected only as penetration has it
 
     @property
@@ -39,12 +40,12 @@ class Placement:
 
 @dataclass(frozen=True)
 class Actors:
-    """Who tells the story: the ego, the occluder, the hidden vehicle (OFF if absent), and others with a view."""
+    """Who tells the story: the ego, the occluder, others with a view, and the stream that is hidden from the ego."""
 
     vehicles: tuple[Placement, ...]
     witnesses: tuple[int, ...]  # rows that see what the occluder hides; one of them is always connected
     goal: float  # m along the ego's route, where it has arrived
-    timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet; None: it never is
+    hidden: tuple[int, ...]  # rows of the hidden stream, which may be empty; never connected
 
 
 @dataclass(frozen=True)
@@ -53,24 +54,26 @@ class Scene:
 
     placements: tuple[Placement, ...]
     connected: tuple[int, ...]
-    hazard: bool
-    hazard_row: int  # the vehicle that the occluder hides; its driver is OFF where there is none
+    hazard: bool  # an ego that never brakes would be hit
+    hazard_row: int  # by this vehicle; -1 where there is no hazard
+    hazard_time: float  # s after the start; nan where there is no hazard
     occluder_row: int
     goal: float  # m along the ego's route, where it has arrived
-    timing: float | None = None  # as in Actors
+    hidden: tuple[int, ...] = ()  # rows of the stream that the occluder hides
+    draws: int = 1  # how often the actors were drawn until they were of the kind that was asked for
 
 
 def connected_rows(
-    placements: Sequence[Placement], witnesses: Sequence[int], collaborators: tuple[int, int], traffic: Traffic,
+    placements: Sequence[Placement], actors: Actors, collaborators: tuple[int, int], traffic: Traffic,
     rng: np.random.Generator,
 ) -> tuple[int, ...]:  # fmt: skip
     """The ego, a witness and others: as many as `collaborators` says, or with a penetration as chance has it.
 
     With a penetration the lower end of `collaborators` is the least number, and more of it only adds vehicles. The
-    hidden vehicle is never connected: it would give itself away.
+    hidden stream is never connected: it would give itself away.
     """
-    witness = int(rng.choice(np.array(witnesses)))
-    order = [witness, *(row for row in rng.permutation(len(placements)).tolist() if row not in (witness, EGO, HIDDEN))]
+    witness, never = int(rng.choice(np.array(actors.witnesses))), {EGO, *actors.hidden}
+    order = [witness, *(row for row in rng.permutation(len(placements)).tolist() if row not in never | {witness})]
     useful = [row for row in order if not placements[row].bystander]
     wanted = int(rng.integers(*collaborators, endpoint=True))
     if traffic.penetration is None:
@@ -81,10 +84,10 @@ def connected_rows(
     return (EGO, *sorted([*least, *rest][: max(hits, len(least))]))
 
 
-def place(scene: Scene, routes: Routes) -> World:
-    """A world with the vehicles of a scene in it."""
-    world = empty_world(len(scene.placements))
-    for row, vehicle in enumerate(scene.placements):
+def place(placements: Sequence[Placement], routes: Routes) -> World:
+    """A world with these vehicles in it."""
+    world = empty_world(len(placements))
+    for row, vehicle in enumerate(placements):
         whole = int(vehicle.progress / routes.spacing)
         rest = vehicle.progress - whole * routes.spacing
         along = routes.heading[vehicle.route, whole]
@@ -102,4 +105,5 @@ def place(scene: Scene, routes: Routes) -> World:
         world.target_speed[row] = vehicle.target_speed
         world.stop_at[row] = vehicle.stop_at
         world.late_braking[row] = vehicle.late_braking
+        world.attention[row] = vehicle.attention
     return world

@@ -1,14 +1,16 @@
-"""What casts and backgrounds are put together from: bodies, queues, streams, and who meets whom when."""
+"""What actors and backgrounds are put together from: bodies, queues, vehicles in a row, hidden streams."""
 
 import math
-from typing import TypedDict
+from collections.abc import Sequence
+from typing import Any, TypedDict
 
 import numpy as np
 
-from cad_env.numerics.jit import compiled
+from cad_env.scenarios.ranges import Range
 from cad_env.scenarios.scene import Placement
-from cad_env.types import STEP
-from cad_env.world.drivers import idm_acceleration
+from cad_env.world.state import STREAM
+
+EARLIEST = -5.0  # s, when the first vehicles of a stream came by
 
 
 class Body(TypedDict):
@@ -43,30 +45,54 @@ def _standing(rng: np.random.Generator, route: int, front: float, count: int, st
     return standing
 
 
-def stream(
+def vehicles_in_row(
     rng: np.random.Generator, route: int, front: float, speed: float, count: int,
-    gap: tuple[float, float] = (18.0, 35.0), bystander: bool = False,
+    gap: tuple[float, float] = (18.0, 35.0), bystander: bool = False, stop_at: float = math.inf,
 ) -> list[Placement]:  # fmt: skip
     """Cars that drive one behind the other, centres so many metres apart, each a little faster than the one behind."""
     cars = []
     for k in range(count):
         pace = speed * (1.0 - 0.01 * k)
-        cars.append(Placement(route, front, pace, pace, bystander=bystander, **car_body(rng)))
+        cars.append(Placement(route, front, pace, pace, bystander=bystander, stop_at=stop_at, **car_body(rng)))
         front -= rng.uniform(*gap)
     return cars
 
 
-@compiled
-def unbraked_time(speed: float, target_speed: float, distance: float) -> float:
-    """Seconds an undisturbed IDM driver takes for a distance, m."""
-    time, travelled, dt = 0.0, 0.0, STEP / 2
-    while travelled < distance:
-        travelled += speed * dt
-        speed += idm_acceleration(speed, target_speed, math.inf, 0.0) * dt
-        time += dt
-    return time
+def platoon_times(
+    rng: np.random.Generator, platoon: tuple[int, int], headway: Range, gap: Range, until: float
+) -> list[float]:
+    """s at which the vehicles of a stream come by, from `EARLIEST` to `until`: platoons with gaps between them.
+
+    platoon: how many vehicles it has, both ends included; headway: s from one to the next within it, front to front;
+    gap: s from its last one to the first of the next.
+    """
+    times: list[float] = []
+    time = EARLIEST - rng.uniform(0.0, platoon[1] * headway[1] + gap[1])  # so that no time is a special one
+    while time < until:
+        for _ in range(int(rng.integers(*platoon, endpoint=True))):
+            times.append(time)
+            time += rng.uniform(*headway)
+        time += rng.uniform(*gap) - headway[0]
+    return [time for time in times if EARLIEST <= time < until]
 
 
-def time_to(vehicle: Placement, place: float) -> float:
-    """Seconds until an undisturbed driver is so many metres along its route."""
-    return float(unbraked_time(vehicle.speed, vehicle.target_speed, place - vehicle.progress))
+def hidden_stream(rng: np.random.Generator, ranges: Any, route: int, conflict: float) -> list[Placement]:
+    """The vehicles of a stream on a route, the first ones ahead, each of which comes by `conflict`, m along it.
+
+    ranges: a StreamRanges with the further fields `stream_speed` (m/s, of all of them), `platoon`, `headway` and
+    `platoon_gap` (see `platoon_times`). Nothing is asked about the ego.
+    """
+    speed, empty = rng.uniform(*ranges.stream_speed), rng.random() < ranges.empty_share
+    times = platoon_times(rng, ranges.platoon, ranges.headway, ranges.platoon_gap, (conflict - 1.0) / speed)
+    return [] if empty else [_streaming(rng, ranges, route, conflict - speed * time, speed) for time in times]
+
+
+def _streaming(rng: np.random.Generator, ranges: Any, route: int, progress: float, speed: float) -> Placement:
+    attentive, reaction = rng.random() < ranges.attentive_share, rng.uniform(*ranges.reaction)
+    attention = reaction if attentive else math.inf
+    return Placement(route, progress, speed, speed, STREAM, attention=attention, **car_body(rng))
+
+
+def rows_from(first: int, vehicles: Sequence[Placement]) -> tuple[int, ...]:
+    """The rows of some vehicles, the first of which is in row `first`."""
+    return tuple(range(first, first + len(vehicles)))

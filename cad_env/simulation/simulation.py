@@ -69,7 +69,7 @@ class Simulation:
         announce_compilation("scene_step.play")
         self.seed = seed
         self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
-        self.world: World = place(self.scene, self.map.routes)
+        self.world: World = place(self.scene.placements, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
         vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
         commands = self.scenario.command_count
@@ -178,7 +178,7 @@ class Simulation:
 
     def episode_info(self) -> dict[str, Any]:
         """What info says of a whole episode."""
-        return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_timing": self.scene.timing}
+        return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_time": self.scene.hazard_time}
 
     def info(self) -> dict[str, Any]:
         """What info says of the newest step, for the ego: plain numbers. `SceneBatch.infos` says the same of many."""

@@ -3,13 +3,16 @@
 IDM: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
 simulations", Phys. Rev. E 62 (2000). Gaps are measured from bumper to bumper and a leader is whoever's route
 runs along the own one, so that a truck is seen as long as it is.
+
+A driver with attention also brakes for who is across its way, by the same model, but only after a reaction time; a
+driver without never does. Both brake for a slower vehicle before them.
 """
 
 import math
 
 from cad_env.numerics.jit import compiled, inlined
 from cad_env.types import BRAKE
-from cad_env.world.state import IDM, OFF, STANDING, Routes, World
+from cad_env.world.state import OFF, SCRIPTED, STANDING, STREAM, Routes, World
 
 MAX_ACCELERATION = 2.0  # m/s2, comfortable start of a car
 COMFORTABLE_BRAKING = 3.0  # m/s2
@@ -22,6 +25,7 @@ SIDE_MARGIN = 0.3  # m to the side that a driver wants free
 LOOK_AHEAD = 100.0  # m
 SHORT_OF_LINE = 0.5  # m before its line, where a late braker comes to stand
 SLOW = 1.0  # m/s, below which a late braker creeps to its line as anybody does
+SLOWER = 0.05  # m/s by which a leader must be slower for a STREAM driver to brake for it
 
 
 @inlined
@@ -70,20 +74,58 @@ def idm_acceleration(speed: float, target_speed: float, gap: float, leader_speed
 
 
 @inlined
-def acceleration_of(world: World, routes: Routes, i: int) -> float:
-    """What vehicle i's driver does now, m/s2."""
+def acceleration_of(world: World, routes: Routes, i: int, dt: float) -> float:
+    """What vehicle i's driver does now, m/s2; dt: s since it decided last."""
     if world.struck[i] >= 0:
         return -HARDEST_BRAKING
     if world.command[i, 0] == BRAKE:
         return -COMMANDED_BRAKING
-    if world.driver[i] != IDM:  # scripted: at constant speed, whatever comes
+    if world.driver[i] == SCRIPTED:
         return 0.0
+    speed, target = world.speed[i], world.target_speed[i]
     gap, leader_speed = gap_to_leader(world, routes, i)
-    acceleration = idm_acceleration(world.speed[i], world.target_speed[i], gap, leader_speed)
+    if world.driver[i] == STREAM and leader_speed > speed - SLOWER:
+        gap = math.inf
+    acceleration = idm_acceleration(speed, target, gap, leader_speed)
     to_line = world.stop_at[i] - world.progress[i] - 0.5 * world.size[i, 0]
     if to_line < LOOK_AHEAD:
         acceleration = min(acceleration, _acceleration_to_line(world, i, to_line))
+    if world.attention[i] < math.inf:
+        gap, other_speed = gap_to_crosser(world, routes, i)
+        world.noticed[i] = world.noticed[i] + dt if gap < math.inf else 0.0
+        if world.noticed[i] >= world.attention[i]:
+            acceleration = min(acceleration, idm_acceleration(speed, target, gap, other_speed))
     return acceleration
+
+
+@compiled
+def gap_to_crosser(world: World, routes: Routes, i: int) -> tuple[float, float]:
+    """(m from i's front, m/s along i's way) of the nearest vehicle across i's way, straight on; (inf, 0) if none.
+
+    Whose route runs along i's is a leader instead, and what stands for the whole episode is no surprise.
+    """
+    gap, other_speed = math.inf, 0.0
+    cos, sin = math.cos(world.heading[i]), math.sin(world.heading[i])
+    last = routes.projection.shape[2] - 1
+    for j in range(world.speed.shape[0]):
+        if j == i or not drives(world.driver[j]):
+            continue
+        dx, dy = world.position[j, 0] - world.position[i, 0], world.position[j, 1] - world.position[i, 1]
+        ahead = dx * cos + dy * sin
+        if not 0.0 < ahead < LOOK_AHEAD:
+            continue
+        turn = world.heading[j] - world.heading[i]
+        along, across = abs(math.cos(turn)), abs(math.sin(turn))
+        wide = 0.5 * (world.size[j, 0] * across + world.size[j, 1] * along)
+        if abs(dy * cos - dx * sin) > wide + 0.5 * world.size[i, 1] + SIDE_MARGIN:
+            continue
+        sample = min(max(int(world.progress[j] / routes.spacing + 0.5), 0), last)
+        if not math.isnan(routes.projection[world.route[i], world.route[j], sample, 0]):
+            continue
+        free = ahead - 0.5 * (world.size[j, 0] * along + world.size[j, 1] * across) - 0.5 * world.size[i, 0]
+        if free < gap:
+            gap, other_speed = free, world.speed[j] * math.cos(turn)
+    return gap, other_speed
 
 
 @compiled
@@ -93,7 +135,7 @@ def _acceleration_to_line(world: World, i: int, to_line: float) -> float:
     needed = 0.5 * speed * speed / max(to_line - SHORT_OF_LINE, 0.1)
     if late > 0.0 and speed > SLOW:
         # Braking by no more than is needed keeps what is needed from falling, so whoever has begun goes on.
-        return -needed if needed >= late else math.inf
+        return -min(needed, HARDEST_BRAKING) if needed >= late else math.inf
     # The light is a standing vehicle whose rear bumper is MIN_GAP behind the line.
     return idm_acceleration(speed, world.target_speed[i], to_line + MIN_GAP, 0.0)
 

@@ -8,7 +8,8 @@ import numpy as np
 from cad_env.types import Bools, Floats, Ints
 
 # Who drives a row. A connected vehicle is an IDM driver whose GO/BRAKE command comes from outside (`command`).
-OFF, STANDING, SCRIPTED, IDM = 0, 1, 2, 3
+# SCRIPTED keeps its speed whatever comes; STREAM too, however near the vehicle before it is, unless that one is slower.
+OFF, STANDING, SCRIPTED, IDM, STREAM = 0, 1, 2, 3, 4
 
 # An actuation delay of two decisions (0.2 s): a brake does not bite in the frame that asks for it.
 COMMAND_DELAY = 2
@@ -39,12 +40,14 @@ class World(NamedTuple):
     acceleration: Floats  # (N,) m/s2, what was applied last
     size: Floats  # (N, 2) m length, width
     kind: Ints  # (N,) int8 CAR or TRUCK
-    driver: Ints  # (N,) int8 OFF, STANDING, SCRIPTED or IDM
+    driver: Ints  # (N,) int8 OFF, STANDING, SCRIPTED, IDM or STREAM
     route: Ints  # (N,) int64
     progress: Floats  # (N,) m along the route
     target_speed: Floats  # (N,) m/s
     stop_at: Floats  # (N,) m along the route, the line where a red light stops the vehicle; inf for none
     late_braking: Floats  # (N,) m/s2 that stopping at the line must take before the vehicle begins to; 0: in good time
+    attention: Floats  # (N,) s from when another is across its way until its driver reacts; inf: never
+    noticed: Floats  # (N,) s for which another has been across its way
     command: Ints  # (N, COMMAND_DELAY + 1) int8 GO or BRAKE; column 0 is in force, the last is the newest
     struck: Ints  # (N,) int64 row of the first vehicle it touched, -1 for none
 
@@ -73,6 +76,8 @@ def empty_world(count: int) -> World:
         target_speed=np.zeros(count),
         stop_at=np.full(count, np.inf),
         late_braking=np.zeros(count),
+        attention=np.full(count, np.inf),
+        noticed=np.zeros(count),
         command=np.zeros((count, COMMAND_DELAY + 1), np.int8),
         struck=np.full(count, -1, np.int64),
     )

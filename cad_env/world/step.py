@@ -27,7 +27,7 @@ def substep(world: World, routes: Routes, acceleration: Floats, dt: float) -> No
     count = world.speed.shape[0]
     for i in range(count):
         if drives(world.driver[i]):
-            acceleration[i] = acceleration_of(world, routes, i)
+            acceleration[i] = acceleration_of(world, routes, i, dt)
     for i in range(count):
         if drives(world.driver[i]):
             drive(world, routes, i, acceleration[i], dt)

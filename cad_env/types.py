@@ -29,7 +29,7 @@ FRAMES = 15  # frames in a graph window: 1.5 s at 10 Hz
 MAX_TRACKS = 32  # tracks a vehicle can hold at once, its own body included
 MAX_MERGED_TRACKS = 64  # tracks a merged graph can hold
 
-OBSERVED_TRACKS = 16  # the nearest tracks of the merged graph that an observation shows
+OBSERVED_TRACKS = 24  # the nearest tracks of the merged graph that an observation shows
 ROUTE_POINTS = 40  # points of its own route that an observation shows ...
 ROUTE_SPACING = 2.0  # ... one every so many metres
 

@@ -59,7 +59,7 @@ class Caution(NamedTuple):
 class CautiousConfig:
     """What the ego reckons with in places that it cannot see."""
 
-    speed: float = 15.0  # m/s at which a hidden vehicle comes
+    speed: float = 20.0  # m/s at which a hidden vehicle comes
     reserve: float = 0.3  # s that must be left when the ego is over a lane
     short: float = 0.5  # m before a lane that crosses, where the ego stops
     lean: float = 2.0  # m into an oncoming lane that it drives to look: an oncoming vehicle can still pass

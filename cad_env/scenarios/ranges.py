@@ -64,7 +64,7 @@ class StreamRanges(Ranges):
     Each scenario says how fast they drive, how many vehicles a platoon has, and how far apart they come.
     """
 
-    empty_share: float = share(0.05)  # share of episodes without any hidden vehicle
+    empty_share: float = share(0.08)  # share of episodes without any hidden vehicle
     attentive_share: float = share(0.5)  # share of drivers of the stream that react to who is across their way ...
     reaction: Range = span(0.6, 1.4, within=(0.0, 5.0))  # s ... so long after they could
 

@@ -4,8 +4,8 @@ IDM: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observat
 simulations", Phys. Rev. E 62 (2000). Gaps are measured from bumper to bumper and a leader is whoever's route
 runs along the own one, so that a truck is seen as long as it is.
 
-A driver with attention also brakes for who is across its way, by the same model, but only after a reaction time; a
-driver without never does. Both brake for a slower vehicle before them.
+A STREAM driver follows who drives on its own route. For anybody else in its way, who crosses it, merges into it or
+comes towards it, it brakes by the same model only if it is attentive, and only after its reaction time.
 """
 
 import math
@@ -30,12 +30,15 @@ SLOWER = 0.05  # m/s by which a leader must be slower for a STREAM driver to bra
 
 @inlined
 def gap_to_leader(world: World, routes: Routes, i: int) -> tuple[float, float]:
-    """(bumper gap m, leader's speed m/s) to the nearest vehicle in the way on i's route; (inf, 0) if none."""
+    """(bumper gap m, leader's speed m/s) to the nearest vehicle in the way on i's route; (inf, 0) if none.
+
+    For a STREAM driver only who has the same route is a leader; `gap_to_intruder` is about all others.
+    """
     gap, leader_speed = math.inf, 0.0
-    own = world.route[i]
+    own, narrow = world.route[i], world.driver[i] == STREAM
     last = routes.projection.shape[2] - 1
     for j in range(world.speed.shape[0]):
-        if j == i or world.driver[j] == OFF:
+        if j == i or world.driver[j] == OFF or (narrow and world.route[j] != own):
             continue
         sample = min(max(int(world.progress[j] / routes.spacing + 0.5), 0), last)
         beyond = world.progress[j] - sample * routes.spacing  # up to half a spacing either way
@@ -91,7 +94,7 @@ def acceleration_of(world: World, routes: Routes, i: int, dt: float) -> float:
     if to_line < LOOK_AHEAD:
         acceleration = min(acceleration, _acceleration_to_line(world, i, to_line))
     if world.attention[i] < math.inf:
-        gap, other_speed = gap_to_crosser(world, routes, i)
+        gap, other_speed = gap_to_intruder(world, i)
         world.noticed[i] = world.noticed[i] + dt if gap < math.inf else 0.0
         if world.noticed[i] >= world.attention[i]:
             acceleration = min(acceleration, idm_acceleration(speed, target, gap, other_speed))
@@ -99,16 +102,15 @@ def acceleration_of(world: World, routes: Routes, i: int, dt: float) -> float:
 
 
 @compiled
-def gap_to_crosser(world: World, routes: Routes, i: int) -> tuple[float, float]:
-    """(m from i's front, m/s along i's way) of the nearest vehicle across i's way, straight on; (inf, 0) if none.
+def gap_to_intruder(world: World, i: int) -> tuple[float, float]:
+    """(m from i's front, m/s along i's way) of the nearest vehicle of another route in i's way; (inf, 0) if none.
 
-    Whose route runs along i's is a leader instead, and what stands for the whole episode is no surprise.
+    i's way is taken to be straight on. What stands for the whole episode is no surprise.
     """
     gap, other_speed = math.inf, 0.0
     cos, sin = math.cos(world.heading[i]), math.sin(world.heading[i])
-    last = routes.projection.shape[2] - 1
     for j in range(world.speed.shape[0]):
-        if j == i or not drives(world.driver[j]):
+        if j == i or not drives(world.driver[j]) or world.route[j] == world.route[i]:
             continue
         dx, dy = world.position[j, 0] - world.position[i, 0], world.position[j, 1] - world.position[i, 1]
         ahead = dx * cos + dy * sin
@@ -118,9 +120,6 @@ def gap_to_crosser(world: World, routes: Routes, i: int) -> tuple[float, float]:
         along, across = abs(math.cos(turn)), abs(math.sin(turn))
         wide = 0.5 * (world.size[j, 0] * across + world.size[j, 1] * along)
         if abs(dy * cos - dx * sin) > wide + 0.5 * world.size[i, 1] + SIDE_MARGIN:
-            continue
-        sample = min(max(int(world.progress[j] / routes.spacing + 0.5), 0), last)
-        if not math.isnan(routes.projection[world.route[i], world.route[j], sample, 0]):
             continue
         free = ahead - 0.5 * (world.size[j, 0] * along + world.size[j, 1] * across) - 0.5 * world.size[i, 0]
         if free < gap:

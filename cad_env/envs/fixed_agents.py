@@ -7,10 +7,11 @@ import numpy as np
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from cad_env.envs.parallel import CADParallelEnv, Infos, Step
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.types import Observation
 
 
-class FixedAgents(BaseParallelWrapper[str, Observation, int]):
+class FixedAgents(CopiedWhole, BaseParallelWrapper[str, Observation, int]):
     """Every possible agent stays until the last one is done, and all end in the same step.
 
     Whoever has left, or is not in this scene, sees zeros, earns nothing, and its actions are ignored; its info is the

@@ -15,6 +15,7 @@ from cad_env.envs.goals import goals
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import StepOutcome, progress, reward_named
 from cad_env.envs.single import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
@@ -35,7 +36,7 @@ Infos = dict[str, dict[str, Any]]
 Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
 
 
-class CADParallelEnv(ParallelEnv[str, Observation, int]):
+class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
     """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
 
     An agent that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
@@ -200,6 +201,10 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
                 "bytes_sent": sent[k], "bytes_received": received[k], "messages_lost": lost[k],
             }  # fmt: skip
         return infos
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the picture."""
+        return {**self.__dict__, "_viewer": None}
 
     def state(self) -> NDArray[np.float32]:
         """The truth as a vector in `state_space`, for a centralised critic: see `cad_env.envs.global_state`."""

@@ -13,6 +13,7 @@ from cad_env.config import check_names
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import ego_step, progress, reward_named
 from cad_env.lidar.config import space_with
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
@@ -26,7 +27,7 @@ RENDER_MODES = ("human", "rgb_array")
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "share", "codec")
 
 
-class CADEnv(AbstractEnv):
+class CADEnv(CopiedWhole, AbstractEnv):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset
@@ -153,6 +154,10 @@ class CADEnv(AbstractEnv):
         if self.config["object_lists"]:
             info["object_lists"] = self.simulation.object_lists()
         return info
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the picture: as highway-env's `__deepcopy__` does it."""
+        return {**self.__dict__, "viewer": None, "_record_video_wrapper": None}
 
     def truth(self) -> Truth:
         """The world itself: what a privileged policy is given in place of an observation."""

@@ -14,6 +14,7 @@ from cad_env.config import check_names
 from cad_env.envs.rewards import Reward, ego_step, progress, reward_named
 from cad_env.envs.single import checked_hazard
 from cad_env.lidar.config import space_with
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.scenarios.scenario import Scenario
 from cad_env.simulation.batch import SceneBatch, masked
 from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
@@ -23,7 +24,7 @@ from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
 _Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
 
 
-class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
+class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
     """`num_envs` scenes, each as CADEnv gives it: observations, rewards, seeds and infos are equal to the last bit.
 
     Keyword arguments: those of CADEnv but `config` and `render_mode`; `scenario` may also be a list of them, which the

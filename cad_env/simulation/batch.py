@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cad_env.lidar.config import CloudConfig
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.scenarios.registry import commands_of
 from cad_env.simulation.cloud_exchange import exchange
 from cad_env.simulation.scene_step import OUTCOME_BY_CODE, BatchState, Truths, play
@@ -17,7 +18,7 @@ from cad_env.types import COLLISION, SUCCESS, Bools, Ints, Observation
 _OUTCOMES, _REFUSALS = np.array(OUTCOME_BY_CODE, object), np.array(REFUSALS, object)
 
 
-class SceneBatch:
+class SceneBatch(CopiedWhole):
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
@@ -26,12 +27,21 @@ class SceneBatch:
         self.batch_state = BatchState(len(setups), _one_cloud(setups), commands)
         self.simulations = [Simulation(setup, self.batch_state, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
-        # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
-        self.observations: Observation = {
-            name: part[:, 0] for name, part in zip(self.batch_state.views._fields, self.batch_state.views, strict=True)
-        }
-        if self.batch_state.clouds is not None:
-            self.observations.update(self.batch_state.clouds._asdict())
+        self.observations = self._shown()
+
+    def _shown(self) -> Observation:
+        """The ego's part of the stacked views: (S, ...) arrays that every step fills anew."""
+        views, clouds = self.batch_state.views, self.batch_state.clouds
+        shown = {name: part[:, 0] for name, part in zip(views._fields, views, strict=True)}
+        return shown if clouds is None else {**shown, **clouds._asdict()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "observations"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy shows the arrays of its own scenes."""
+        self.__dict__.update(state)
+        self.observations = self._shown()
 
     def __len__(self) -> int:
         return len(self.simulations)

@@ -54,6 +54,12 @@ class Sharing:
         self._air: dict[int, Sent] = {}  # by step, the newest `delay` + 1
         self._thinned.clear()
 
+    def move_to(self, scene: SceneState | None, view: CloudView) -> None:
+        """Go on with equal arrays that are elsewhere; None before the first start."""
+        self.view = view
+        if scene is not None:
+            self._scene = scene
+
     @property
     def most_points(self) -> int:
         """Of one cloud."""

@@ -14,7 +14,7 @@ from numba import typeof
 from cad_env.config import RadioConfig, SensorConfig
 from cad_env.lidar.config import CloudConfig, CloudView, empty_cloud_view
 from cad_env.numerics.jit import compiled, inlined, inlined_part
-from cad_env.numerics.record_array import new_record_array, put, take
+from cad_env.numerics.record_array import CopiedWhole, new_record_array, put, take
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
@@ -65,8 +65,11 @@ class SceneState(NamedTuple):
     scratch: Floats  # (N,)
 
 
-class BatchState:
-    """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
+class BatchState(CopiedWhole):
+    """Room for so many scenes, and the arrays over all of them that the compiled loops fill.
+
+    A copy, or what comes out of a pickle, has scenes of its own.
+    """
 
     def __init__(self, places: int, cloud: CloudConfig | None = None, commands: int = COMMANDS) -> None:
         self.step_info = _no_step_info(places)
@@ -97,6 +100,26 @@ class BatchState:
         """Let a new scene take a place."""
         _put(self.records, place, scene)
         self._scenes[place] = scene
+
+    def scene(self, place: int) -> SceneState | None:
+        """The scene that has taken a place, if one has."""
+        return self._scenes.get(place)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the addresses of the arrays, and scratch."""
+        kept = {name: value for name, value in self.__dict__.items() if name not in ("records", "rooms")}
+        shown = [k for k, scene in self._scenes.items() if np.shares_memory(scene.fleet.views.ego, self.views.ego)]
+        return {**kept, "shown": shown}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        shown, scenes = state.pop("shown"), state.pop("_scenes")
+        self.__dict__.update(state)
+        self.rooms, self._scenes = [], {}
+        self.records = new_record_array(KIND, len(self.step_info.outcome), self._scenes)
+        for place, scene in scenes.items():
+            # A part of an array over all scenes is copied as an array by itself: it becomes a part again.
+            fleet = scene.fleet._replace(views=self.views_at(place)) if place in shown else scene.fleet
+            self.put(place, scene._replace(fleet=fleet, step_info=self.step_info_at(place)))
 
 
 def _no_step_info(scenes: int) -> StepInfo:

@@ -15,6 +15,7 @@ from cad_env.config import radio_config
 from cad_env.lidar.config import OwnCloud
 from cad_env.numerics.jit import announce_compilation
 from cad_env.numerics.philox import stream_key
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.pipeline.graph_arrays import as_graph
 from cad_env.pipeline.observe import as_observation, empty_view
 from cad_env.pipeline.radio import REASONS, fate, link_of
@@ -42,7 +43,7 @@ FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_
 REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
 
 
-class Simulation:
+class Simulation(CopiedWhole):
     """The state of one episode, and what happens in a decision step; it has a place in a batch, alone or not."""
 
     def __init__(self, setup: Setup, batch_state: BatchState | None = None, place: int = 0) -> None:
@@ -106,15 +107,18 @@ class Simulation:
         self._play(True)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_batch_state"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_scene_state", "world", "fleet")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy is a batch of one, whatever batch the original has its place in."""
+        """A copy has its place in a copy of the batch, with whatever else is in it."""
         self.__dict__.update(state)
-        commands = self.scenario.command_count
-        self._batch_state, self._place, self._which = BatchState(1, commands=commands), 0, np.zeros(1, np.int64)
-        if "_scene_state" in state:
-            self._batch_state.put(0, self._scene_state)
+        scene, clouds = self._batch_state.scene(self._place), self._batch_state.clouds_at(self._place)
+        if scene is not None:
+            self._scene_state, self.world, self.fleet = scene, scene.world, scene.fleet
+        if self.sharing is not None and clouds is not None:
+            self.sharing.move_to(scene, clouds)
+        if self.graph_exchange is not None and scene is not None:
+            self.graph_exchange.move_to(scene)
 
     def _perceive(self) -> None:
         self._play(False)

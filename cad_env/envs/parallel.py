@@ -222,12 +222,11 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
             )
             return None
         simulation = self.simulation
+        road = WorldRoad(simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected)
         if self._viewer is None:
             self._viewer = SceneViewer(SimpleNamespace(config=self._display(), observation_type=None, action_type=None))
         shown = self._viewer.env
-        shown.road = WorldRoad(
-            simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected
-        )
+        shown.road = road
         shown.vehicle, shown.simulation = shown.road.rows[0], simulation
         self._viewer.display()
         return self._viewer.get_image() if self.render_mode == "rgb_array" else self._viewer.handle_events()

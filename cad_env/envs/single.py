@@ -16,7 +16,7 @@ from cad_env.lidar.config import space_with
 from cad_env.numerics.record_array import CopiedWhole
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
-from cad_env.rendering.viewer import SceneViewer
+from cad_env.rendering.viewer import SceneViewer, viewer_of
 from cad_env.scenarios import scenario_named
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation
@@ -24,6 +24,10 @@ from cad_env.types import BRAKE, COLLISION, GO, SUCCESS, TIMEOUT, Floats, Observ
 from cad_env.world.state import Truth
 
 RENDER_MODES = ("human", "rgb_array")
+_FIXED = {
+    "observation": {"type": "SpatiotemporalGraph"}, "action": {"type": "GoBrake"}, "simulation_frequency": 20,
+    "policy_frequency": 10,
+}  # fmt: skip
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "share", "codec")
 
 
@@ -37,7 +41,7 @@ class CADEnv(CopiedWhole, AbstractEnv):
     (True adds to info what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's
     view), `share` and `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step,
     cad_env.envs.rewards). By default the reward of a step is the share of the way to the goal covered in it, +1 on
-    arrival, -1 on a collision.
+    arrival, -1 on a collision. What is written into `config` later counts from the next `reset` on.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})
@@ -52,6 +56,7 @@ class CADEnv(CopiedWhole, AbstractEnv):
         check_render_mode(render_mode)
         check_names("option", options, [*_SETUP, "object_lists", "reward", "layers", "config", "render_mode"])
         self.viewer: SceneViewer | None = None
+        self._default = self.default_config()
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
 
     @classmethod
@@ -59,10 +64,7 @@ class CADEnv(CopiedWhole, AbstractEnv):
         """highway-env's display settings, and what `setup_from` takes."""
         return {
             **super().default_config(),
-            "observation": {"type": "SpatiotemporalGraph"},
-            "action": {"type": "GoBrake"},
-            "simulation_frequency": 20,
-            "policy_frequency": 10,
+            **_FIXED,
             **screen(scenario_named("left_turn").map),
             "scenario": "left_turn",
             "layers": tuple(LAYERS),  # what pictures show over highway-env's view
@@ -71,29 +73,35 @@ class CADEnv(CopiedWhole, AbstractEnv):
         }
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
-        """Take settings in; an unknown or changed-but-fixed one is refused with its name, value and the choices."""
-        default = self.default_config()
+        """Take settings in, those too that were written into `self.config` since the last time.
+
+        An unknown or changed-but-fixed one is refused with its name, value and the choices. If something else is to be
+        simulated from now on, the episode is over, and `reset` begins the next one.
+        """
         given = dict(config or {})
-        check_names("setting", given, [*default, *_SETUP])
-        for name in ("observation", "action", "simulation_frequency", "policy_frequency"):
-            if given.get(name, default[name]) != default[name]:
-                raise ValueError(f"{name} is {default[name]!r} in this environment, got {given[name]!r}")
-        reward_named(given.get("reward", default["reward"]))
-        if "layers" in given:
-            given["layers"] = checked_layers(given["layers"])
-        if "scenario" in given:
-            scenario = scenario_named(given["scenario"])
-            given = {**screen(scenario.map), **given, "scenario": scenario.name}
-        setup = setup_from({k: v for k, v in {**self.config, **given}.items() if k in _SETUP})
-        if hasattr(self, "simulation") and self.simulation.setup.cloud != setup.cloud:
-            raise ValueError(f"cloud is a part of the observation and cannot change later, got {setup.cloud!r}")
-        simulation = Simulation(setup)
-        if hasattr(self, "simulation") and simulation.scenario.command_count != self.simulation.scenario.command_count:
-            raise ValueError(
-                f"commands are a part of the observation and cannot change later, got the scenario {setup.scenario!r}"
-            )
-        super().configure(given)
+        settings = self._checked({**self._default, **self.config, **given})
+        setup = setup_from({name: value for name, value in settings.items() if name in _SETUP})
+        built: Simulation | None = getattr(self, "simulation", None)
+        shown = scenario_named("left_turn") if built is None else built.scenario
+        if setup.scenario != shown.name:  # the screen suits the scenario where it is not the user's own
+            for name, value in screen(scenario_named(setup.scenario).map).items():
+                if name not in given and np.array_equal(settings[name], screen(shown.map)[name]):
+                    settings[name] = value
+        simulation = built if built is not None and built.setup == setup else Simulation(setup)
+        if built is not None:
+            _check_same_observation(built, simulation)
+        super().configure(settings)
         self.simulation = simulation
+
+    def _checked(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """All settings, with the names of scenario and layers; ValueError for what there is not."""
+        check_names("setting", settings, [*self._default, *_SETUP])
+        for name, value in _FIXED.items():
+            if settings[name] != value:
+                raise ValueError(f"{name} is {value!r} in this environment, got {settings[name]!r}")
+        reward_named(settings["reward"])
+        layers, scenario = checked_layers(settings["layers"]), scenario_named(settings["scenario"])
+        return {**settings, "layers": layers, "scenario": scenario.name}
 
     def define_spaces(self) -> None:
         """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""
@@ -111,8 +119,7 @@ class CADEnv(CopiedWhole, AbstractEnv):
         check_names("reset option", options, ["hazard", "config"])
         hazard = checked_hazard(options.get("hazard"))
         gym.Env.reset(self, seed=seed)
-        if "config" in options:
-            self.configure(options["config"])
+        self.configure(options.get("config"))
         self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard, receivers=1)
         self.time, self.steps, self.done = 0.0, 0, False
         simulation = self.simulation
@@ -174,9 +181,19 @@ class CADEnv(CopiedWhole, AbstractEnv):
                 f"render() was called without specifying any render mode: choose one of {', '.join(RENDER_MODES)}"
             )
             return None
-        if self.viewer is None:
-            self.viewer = SceneViewer(self)
+        self.viewer = viewer_of(self)
         return super().render()
+
+
+def _check_same_observation(built: Simulation, simulation: Simulation) -> None:
+    """Refuse with a one-line ValueError what would need another observation space."""
+    if simulation.setup.cloud != built.setup.cloud:
+        raise ValueError(f"cloud is a part of the observation and cannot change later, got {simulation.setup.cloud!r}")
+    if simulation.scenario.command_count != built.scenario.command_count:
+        raise ValueError(
+            "commands are a part of the observation and cannot change later, "
+            f"got the scenario {simulation.scenario.name!r}"
+        )
 
 
 def check_render_mode(render_mode: str | None) -> None:

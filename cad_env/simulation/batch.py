@@ -57,6 +57,8 @@ class SceneBatch(CopiedWhole):
 
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
+        for place in which.tolist():
+            self.batch_state.check_begun(place)
         play(self.batch_state.records, which, actions, True)
         if self.batch_state.clouds is not None:
             every = [self.simulations[place].sharing for place in which.tolist()]

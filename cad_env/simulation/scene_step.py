@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from numba import typeof
 
@@ -93,6 +94,7 @@ class BatchState(CopiedWhole):
 
     def truth_at(self, place: int) -> Truth:
         """What the ego of the scene at `place` would know if it saw everything."""
+        self.check_begun(place)
         scene = self._scenes[place]
         return Truth(scene.world, scene.routes, int(scene.fleet.rows[0]))
 
@@ -104,6 +106,11 @@ class BatchState(CopiedWhole):
     def scene(self, place: int) -> SceneState | None:
         """The scene that has taken a place, if one has."""
         return self._scenes.get(place)
+
+    def check_begun(self, place: int) -> None:
+        """Refuse to go on where nothing has begun: there, compiled code would take zeros for addresses."""
+        if place not in self._scenes:
+            raise gym.error.ResetNeeded(f"no episode has begun in scene {place}: start or reset it first")
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the addresses of the arrays, and scratch."""

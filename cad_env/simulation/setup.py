@@ -43,6 +43,9 @@ class Setup:
         scenario = scenario_named(self.scenario)
         scenario.configured(dict(self.ranges))
         object.__setattr__(self, "scenario", scenario.name)
+        # Its own, so that changing the given ones later does not change what was built.
+        own = {name: tuple(value) if isinstance(value, list) else value for name, value in self.ranges.items()}
+        object.__setattr__(self, "ranges", own)
 
     @property
     def exchanges_graphs(self) -> bool:

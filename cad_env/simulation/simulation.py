@@ -7,8 +7,9 @@ out what it shows.
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
 import numpy as np
 
 from cad_env.config import radio_config
@@ -40,6 +41,8 @@ from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observa
 from cad_env.world.state import Truth, World
 
 FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_CODE, FINAL_REWARDS, strict=True)))
+# What an episode has, and a simulation before its first one has not.
+_OF_AN_EPISODE = ("seed", "scene", "world", "agents", "fleet", "_keys", "_scene_state")
 REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
 
 
@@ -105,6 +108,13 @@ class Simulation(CopiedWhole):
         """One decision: actions (V,), GO or BRAKE for each connected vehicle, then 0.1 s of world and perception."""
         self._scene_state.actions[:] = actions
         self._play(True)
+
+    if not TYPE_CHECKING:  # which would take any attribute for granted
+
+        def __getattr__(self, name: str) -> Any:
+            if name in _OF_AN_EPISODE:
+                raise gym.error.ResetNeeded("no episode has begun: call reset() first")
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_scene_state", "world", "fleet")}

@@ -64,7 +64,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         if options.get("cloud") is not None:
             raise ValueError(f"cloud is for one ego (CADEnv, CADVectorEnv) only, got {options['cloud']!r}")
         ranges = options.pop("ranges", {})
-        if isinstance(ranges, Mapping):
+        if isinstance(ranges, Mapping) and options.get("penetration") is None:
             ranges = {"collaborators": COLLABORATORS, **ranges}
         self.simulation = Simulation(setup_from({**options, "ranges": ranges}))
         self.render_mode = render_mode

@@ -11,11 +11,11 @@ from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks, view_at
-from cad_env.pipeline.radio import ACCEPTED, LOST, REACHES, Air, Link, empty_air, fate, fetch, send
+from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, SILENT, Air, Link, empty_air, fate, fetch, send
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
 from cad_env.types import FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, Bools, Bytes, Floats, GraphArrays, Ints
-from cad_env.world.state import Routes, World
+from cad_env.world.state import OFF, Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
 UNREAD = -1  # in place of a message's length
@@ -92,10 +92,12 @@ def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link,
     """Sense, track, graph, encode and send for every vehicle; then deliver, merge and observe for every receiver."""
     outline(world, fleet.outlines)
     for v in range(fleet.rows.shape[0]):
-        perceive(world, fleet, v, sensor, keys[SENSE], step)
-    for v in range(fleet.rows.shape[0]):
-        broadcast(world, fleet, v, link, depth, step)
-    deliver(fleet, link, keys[RADIO], step)
+        if is_gone(world, fleet, v):
+            fall_silent(fleet, v)
+        else:
+            perceive(world, fleet, v, sensor, keys[SENSE], step)
+            broadcast(world, fleet, v, link, depth, step)
+    deliver(world, fleet, link, keys[RADIO], step)
     merge_all(world, routes, fleet)
 
 
@@ -105,6 +107,21 @@ def merge_all(world: World, routes: Routes, fleet: Fleet) -> None:
     for r in range(fleet.merged.used.shape[0]):
         fuse(fleet, r)
         show(world, routes, fleet, r)
+
+
+@inlined_part
+def is_gone(world: World, fleet: Fleet, v: int) -> bool:
+    """Whether connected vehicle v has left the map: it does not sense, send or receive any more."""
+    return bool(world.driver[fleet.rows[v]] == OFF)
+
+
+@inlined_part
+def fall_silent(fleet: Fleet, v: int) -> None:
+    """One frame of a vehicle that is gone: what it knew gets older, and it sends nothing."""
+    slide(_rows_at(fleet.window, v))
+    for row in range(fleet.visible.shape[1]):
+        fleet.visible[v, row] = False
+    fleet.report.refusal[v], fleet.report.sent_bytes[v] = SILENT, 0
 
 
 @inlined_part
@@ -146,7 +163,7 @@ def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: 
 
 
 @inlined_part
-def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
+def deliver(world: World, fleet: Fleet, link: Link, key: Ints, step: int) -> None:
     """Give what arrives to every receiver that it reaches; a message is parsed once, if it reaches any."""
     report = fleet.report
     receivers = fleet.merged.used.shape[0]
@@ -157,7 +174,7 @@ def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
     for v in range(fleet.rows.shape[0]):
         length = UNREAD
         for r in range(receivers):
-            end = fate(fleet.air, link, key, step, v, r)
+            end = NOT_SENT if is_gone(world, fleet, r) else fate(fleet.air, link, key, step, v, r)
             report.lost[r] += end == LOST
             if end != REACHES:
                 continue

@@ -24,6 +24,7 @@ from cad_env.pipeline.step import RADIO
 from cad_env.pipeline.varint import DecodeError
 from cad_env.simulation.scene_step import SceneState
 from cad_env.types import FRAMES, MAX_TRACKS, STEP, Graph, GraphArrays, Ints
+from cad_env.world.state import indices_on_map
 
 ShareRule = Callable[[Graph], Graph | None]
 
@@ -68,6 +69,8 @@ class GraphExchange:
         message = messages[sender] if messages and sender != receiver else None
         if places is None or message is None:
             return NOT_SENT, 0
+        if receiver not in self._receivers():
+            return NOT_SENT, 0
         dx, dy = (places[receiver] - places[sender]).tolist()
         key: Ints = self._scene.keys[RADIO]
         return int(fate_at(self.link, key, math.hypot(dx, dy), sent_at, sender, receiver, 0)), len(message)
@@ -75,8 +78,9 @@ class GraphExchange:
     def _send(self) -> None:
         fleet, step = self._scene.fleet, self.step
         messages: list[bytes | None] = []
+        there = set(indices_on_map(self._scene.world, fleet.rows))  # who is gone is silent
         for v in range(len(fleet.rows)):
-            message = self._message(v) if self.link.budget > 0.0 else b""
+            message = None if v not in there else self._message(v) if self.link.budget > 0.0 else b""
             size = 0 if message is None else len(message)
             reason = SILENT if message is None else int(refusal(self.link.budget, 0, size))
             fleet.report.refusal[v], fleet.report.sent_bytes[v] = reason, size if reason == ACCEPTED else 0
@@ -117,7 +121,7 @@ class GraphExchange:
             if message is None:
                 continue
             reached = []
-            for receiver in range(len(report.lost)):
+            for receiver in self._receivers():
                 end, _ = self.arrival(sender, receiver)
                 report.lost[receiver] += end == LOST
                 if end == REACHES:
@@ -128,6 +132,11 @@ class GraphExchange:
             for receiver in reached:
                 report.received_bytes[receiver] += len(message)
                 receive(_of(_of(self._scene.fleet.kept, receiver), sender), arrays, self.depth, self.link.delay)
+
+    def _receivers(self) -> list[int]:
+        """Who merges what arrives: of the first connected vehicles, those that have not left the map."""
+        fleet = self._scene.fleet
+        return indices_on_map(self._scene.world, fleet.rows[: len(fleet.report.lost)])
 
     def _decoded(self, message: bytes, sender: int) -> GraphArrays | None:
         """The graph of a message, or None if it cannot be used: the radio knows who sent it, and when."""

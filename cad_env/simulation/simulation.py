@@ -17,7 +17,7 @@ from cad_env.numerics.jit import announce_compilation
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.graph_arrays import as_graph
 from cad_env.pipeline.observe import as_observation, empty_view
-from cad_env.pipeline.radio import REASONS, fate, link_of
+from cad_env.pipeline.radio import NOT_SENT, REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
 from cad_env.pipeline.step import Fleet, new_fleet
 from cad_env.scenarios import scenario_named
@@ -36,7 +36,7 @@ from cad_env.simulation.scene_step import (
 )
 from cad_env.simulation.setup import Setup
 from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
-from cad_env.world.state import Truth, World
+from cad_env.world.state import Truth, World, indices_on_map
 
 FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_CODE, FINAL_REWARDS, strict=True)))
 REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
@@ -213,6 +213,8 @@ class Simulation:
             return self.sharing.arrival(sender, receiver)
         if self.graph_exchange is not None:
             return self.graph_exchange.arrival(sender, receiver)
+        if receiver not in indices_on_map(self.world, self.agents):
+            return NOT_SENT, 0
         air = self.fleet.air
         end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
         return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])

@@ -189,6 +189,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         covered = np.minimum((self._progress - self._start) / self._way, 1.0).tolist()
         speed = simulation.world.speed[simulation.agents].tolist()
         sent, received, lost = air.sent_bytes.tolist(), air.received_bytes.tolist(), air.lost.tolist()
+        refused = air.messages_refused.tolist()
         seed, hazard = simulation.seed, simulation.scene.hazard
         infos = {}
         for agent in self.agents:
@@ -198,6 +199,7 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
                 "is_success": outcomes[k] == SUCCESS, "crashed": outcomes[k] == COLLISION,
                 "covered": covered[k], "speed": speed[k],
                 "bytes_sent": sent[k], "bytes_received": received[k], "messages_lost": lost[k],
+                "messages_refused": refused[k],
             }  # fmt: skip
         return infos
 

@@ -21,7 +21,7 @@ from cad_env.lidar.envelope import ENVELOPE_SIZE, Envelope, opened, seal
 from cad_env.lidar.points import KEPT, TOO_LARGE, Reads, relative, thinned
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.observe import HORIZON
-from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, SILENT, Link, fate_at, refusal
+from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, SILENT, Link, fate_at, is_as_sent, refusal
 from cad_env.pipeline.sense import Sensing
 from cad_env.pipeline.step import RADIO
 from cad_env.pipeline.varint import DecodeError
@@ -52,7 +52,12 @@ class Sharing:
         """Begin an episode: nothing is on the air."""
         self._scene, self._key = scene, stream_key(seed, "cast")
         self._air: dict[int, Sent] = {}  # by step, the newest `delay` + 1
+        self._injected: dict[int, bytes] = {}  # by sender, for the next step
         self._thinned.clear()
+
+    def inject(self, sender: int, payload: bytes) -> None:
+        """Let a vehicle broadcast these bytes in the next step, in place of its own message."""
+        self._injected[sender] = payload
 
     @property
     def most_points(self) -> int:
@@ -126,14 +131,22 @@ class Sharing:
         fleet, step, there = self._scene.fleet, self.step, self.on_map()
         message: list[bytes | None] = []
         for v in range(len(fleet.rows)):
-            size = ENVELOPE_SIZE + len(contents[v]) if v in contents else 0
+            foreign, content = self._injected.get(v), contents.get(v, b"")
+            size = ENVELOPE_SIZE + len(content) if foreign is None else len(foreign)
             reason = int(refusal(self.link.budget, 0, size)) if v in there else SILENT
             fleet.report.refusal[v], fleet.report.sent_bytes[v] = reason, size if reason == ACCEPTED else 0
-            x, y, heading = fleet.trail[v, FRAMES - 1].tolist()
-            said = Envelope(v, STEP * step, (x, y, heading), contents.get(v, b""))
-            message.append(seal(said) if reason == ACCEPTED else None)
+            if reason != ACCEPTED:
+                message.append(None)
+            else:
+                message.append(self._sealed(v, content) if foreign is None else foreign)
+        self._injected.clear()
         self._air = {sent: what for sent, what in self._air.items() if step - self.link.delay <= sent < step}
         self._air[step] = Sent(self._scene.world.position[fleet.rows], message)
+
+    def _sealed(self, v: int, content: bytes) -> bytes:
+        """The message of vehicle v with what the codec wrote of its cloud."""
+        x, y, heading = self._scene.fleet.trail[v, FRAMES - 1].tolist()
+        return seal(Envelope(v, STEP * self.step, (x, y, heading), content))
 
     def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
         """What becomes, in this step, of a sender's message at a receiver (see radio.fate), and its bytes."""
@@ -149,7 +162,7 @@ class Sharing:
     def receive(self) -> list[tuple[Floats, tuple[float, float, float]]]:
         """What reaches the ego in this step: points (k, 3 + W) with the fix of their sender, by sender."""
         report, heard = self._scene.fleet.report, []
-        report.received_bytes[0] = report.lost[0] = 0
+        report.received_bytes[0] = report.lost[0] = report.messages_refused[0] = 0
         sent = self._air.get(self.step - self.link.delay)
         for sender in range(1, len(self._scene.fleet.rows)):
             end, _ = self.arrival(sender, 0)
@@ -157,14 +170,23 @@ class Sharing:
             message = sent.message[sender] if sent is not None and end == REACHES else None
             if message is None:
                 continue
-            try:
-                envelope = opened(message)
-                points = self.config.codec.decode(envelope.content)
-            except DecodeError:
+            understood = self._understood(message, sender)
+            if understood is None:
+                report.messages_refused[0] += 1
                 continue
             report.received_bytes[0] += len(message)
-            heard.append((points, envelope.pose))
+            heard.append(understood)
         return heard
+
+    def _understood(self, message: bytes, sender: int) -> tuple[Floats, tuple[float, float, float]] | None:
+        """The points of a message and the fix of its sender, or None if any of it is not acceptable."""
+        try:
+            said = opened(message)
+            points = self.config.codec.decode(said.content)
+        except DecodeError:
+            return None
+        genuine = is_as_sent(said.sender, round(1000.0 * said.time), sender, self.step - self.link.delay)
+        return (points, said.pose) if genuine else None
 
     def show(self, own: Floats, heard: Sequence[tuple[Floats, tuple[float, float, float]]]) -> None:
         """Fill the view: own points first, then the others', placed by the fixes; of too many, every so many."""

@@ -65,7 +65,7 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         if options.get("cloud") is not None:
             raise ValueError(f"cloud is for one ego (CADEnv, CADVectorEnv) only, got {options['cloud']!r}")
         ranges = options.pop("ranges", {})
-        if isinstance(ranges, Mapping):
+        if isinstance(ranges, Mapping) and options.get("penetration") is None:
             ranges = {"collaborators": COLLABORATORS, **ranges}
         self.simulation = Simulation(setup_from({**options, "ranges": ranges}))
         self.render_mode = render_mode
@@ -190,6 +190,7 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         covered = np.minimum((self._progress - self._start) / self._way, 1.0).tolist()
         speed = simulation.world.speed[simulation.agents].tolist()
         sent, received, lost = air.sent_bytes.tolist(), air.received_bytes.tolist(), air.lost.tolist()
+        refused = air.messages_refused.tolist()
         seed, hazard = simulation.seed, simulation.scene.hazard
         infos = {}
         for agent in self.agents:
@@ -199,6 +200,7 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
                 "is_success": outcomes[k] == SUCCESS, "crashed": outcomes[k] == COLLISION,
                 "covered": covered[k], "speed": speed[k],
                 "bytes_sent": sent[k], "bytes_received": received[k], "messages_lost": lost[k],
+                "messages_refused": refused[k],
             }  # fmt: skip
         return infos
 

@@ -16,7 +16,7 @@ class Traffic:
     """How much is on the road around the actors, and how many of all of them are connected."""
 
     density: str = "light"
-    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
+    penetration: float | None = None  # probability that a vehicle is connected; None: as many as `collaborators` says
 
     def __post_init__(self) -> None:
         if not isinstance(self.density, str) or self.density not in DENSITIES:

@@ -108,6 +108,7 @@ class SceneBatch(CopiedWhole):
             "largest_message": step_info.largest_message,
             "messages_sent": step_info.messages_sent,
             "messages_lost": step_info.messages_lost,
+            "messages_refused": step_info.messages_refused,
             "refused": _REFUSALS[step_info.refused],
         }
         return masked(values, which)

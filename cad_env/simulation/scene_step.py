@@ -45,6 +45,7 @@ class StepInfo(NamedTuple):
     largest_message: Ints  # bytes
     messages_sent: Ints
     messages_lost: Ints  # on their way to the ego
+    messages_refused: Ints  # by the ego, whole, of those that reached it
     refused: Ints  # why the first message that was refused was, 0 if none was
 
 
@@ -131,7 +132,7 @@ class BatchState(CopiedWhole):
 
 def _no_step_info(scenes: int) -> StepInfo:
     numbers = (np.zeros(scenes) for _ in range(4))
-    return StepInfo(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(6)))
+    return StepInfo(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(7)))
 
 
 def _kind() -> Any:
@@ -230,6 +231,7 @@ def write_radio_info(step_info: StepInfo, air: Report) -> None:
         if step_info.refused[0] == ACCEPTED and air.refusal[v] != SILENT:
             step_info.refused[0] = air.refusal[v]
     step_info.bytes_received[0], step_info.messages_lost[0] = air.received_bytes[0], air.lost[0]
+    step_info.messages_refused[0] = air.messages_refused[0]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ class Setup:
     scenario: Any = "left_turn"  # given as a name or a Scenario; afterwards its name
     ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
     traffic: str = "light"  # none, light or dense: how much is on the road around the cast
-    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
+    penetration: float | None = None  # probability that a vehicle is connected; None: as many as `collaborators` says
     sensor: SensorConfig = field(default_factory=SensorConfig)
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
@@ -40,6 +40,11 @@ class Setup:
         if self.cloud is not None and self.exchanges_graphs:
             raise ValueError("share and codec are for graphs: leave them out where points are shared (cloud)")
         Traffic(self.traffic, self.penetration)
+        if self.penetration is not None and "collaborators" in self.ranges:
+            raise ValueError(
+                f"penetration draws each connected vehicle by itself: leave out the range collaborators, "
+                f"got {self.ranges['collaborators']!r}"
+            )
         scenario = scenario_named(self.scenario)
         scenario.configured(dict(self.ranges))
         object.__setattr__(self, "scenario", scenario.name)

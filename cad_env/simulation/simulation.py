@@ -17,11 +17,12 @@ from cad_env.lidar.config import OwnCloud
 from cad_env.numerics.jit import announce_compilation
 from cad_env.numerics.philox import stream_key
 from cad_env.numerics.record_array import CopiedWhole
+from cad_env.pipeline.codec import MAX_BYTES
 from cad_env.pipeline.graph_arrays import as_graph
 from cad_env.pipeline.observe import as_observation, empty_view
-from cad_env.pipeline.radio import REASONS, fate, link_of
+from cad_env.pipeline.radio import NOT_SENT, REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
-from cad_env.pipeline.step import Fleet, new_fleet
+from cad_env.pipeline.step import Fleet, new_fleet, nothing_injected
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
@@ -38,7 +39,7 @@ from cad_env.simulation.scene_step import (
 )
 from cad_env.simulation.setup import Setup
 from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
-from cad_env.world.state import Truth, World
+from cad_env.world.state import Truth, World, indices_on_map
 
 FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_CODE, FINAL_REWARDS, strict=True)))
 # What an episode has, and a simulation before its first one has not.
@@ -210,8 +211,40 @@ class Simulation(CopiedWhole):
             "largest_message": step_info.largest_message.item(),
             "messages_sent": step_info.messages_sent.item(),
             "messages_lost": step_info.messages_lost.item(),
+            "messages_refused": step_info.messages_refused.item(),
             "refused": REFUSALS[step_info.refused.item()],
         }
+
+    def inject(self, sender: int | np.integer[Any], payload: bytes) -> None:
+        """Let a connected vehicle, the ego is 0, broadcast these bytes in the next step in place of its own message.
+
+        They are counted, paid for, lost and delayed as any message. Nothing in them is checked here: what receivers
+        make of them is in `info["messages_refused"]`, or in what they then hold. A vehicle that leaves the map before
+        the next step sends nothing; bytes given again before it take the place of the former. ValueError for an unknown
+        vehicle, and for more than MAX_BYTES where graphs are sent in the project's own format.
+        """
+        if "fleet" not in self.__dict__:
+            raise RuntimeError("there is no episode yet: call reset() before inject()")
+        if not isinstance(payload, bytes):
+            raise TypeError(f"payload must be bytes, got {type(payload).__name__}")
+        last = len(self.agents) - 1
+        if isinstance(sender, bool) or not isinstance(sender, int | np.integer) or not 0 <= sender <= last:
+            raise ValueError(f"sender must be a connected vehicle, a whole number from 0 to {last}, got {sender!r}")
+        outside = self.sharing or self.graph_exchange
+        if outside is not None:
+            outside.inject(int(sender), payload)
+        else:
+            self._inject(int(sender), payload)
+
+    def _inject(self, sender: int, payload: bytes) -> None:
+        if len(payload) > MAX_BYTES:
+            raise ValueError(f"payload must have at most {MAX_BYTES} bytes, as no message has more, got {len(payload)}")
+        if self.fleet.injected.payload.shape[1] == 0:  # the first one: make room
+            self.fleet = self.fleet._replace(injected=nothing_injected(len(self.agents), MAX_BYTES))
+            self._scene_state = self._scene_state._replace(fleet=self.fleet)
+            self._batch_state.put(self._place, self._scene_state)
+        self.fleet.injected.length[sender] = len(payload)
+        self.fleet.injected.payload[sender, : len(payload)] = np.frombuffer(payload, np.uint8)
 
     def object_lists(self) -> list[Floats]:
         """For each connected vehicle, ego first, the (n, 3) m newest positions of the objects it tracks itself."""
@@ -227,6 +260,8 @@ class Simulation(CopiedWhole):
             return self.sharing.arrival(sender, receiver)
         if self.graph_exchange is not None:
             return self.graph_exchange.arrival(sender, receiver)
+        if receiver not in indices_on_map(self.world, self.agents):
+            return NOT_SENT, 0
         air = self.fleet.air
         end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
         return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])

@@ -12,8 +12,7 @@ from typing import TypeVar
 
 import tyro
 
-INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
-
+from baselines.signals import exit_code
 
 Parsed = TypeVar("Parsed")
 
@@ -39,10 +38,9 @@ def _first_part(box: str, kind: str) -> str:
 
 def stopped(error: BaseException, where: str = "") -> int:
     """Print how to resume; return the exit code."""
-    interrupted = isinstance(error, KeyboardInterrupt)
-    how = "stopped" if interrupted else "error: a worker process died"
+    how = "stopped" if isinstance(error, KeyboardInterrupt) else "error: a worker process died"
     print(f"{how}{where}; run the same command to resume", file=sys.stderr)
-    return INTERRUPTED if interrupted else 1
+    return exit_code(error) if isinstance(error, KeyboardInterrupt) else 1
 
 
 def refused(error: Exception) -> int:

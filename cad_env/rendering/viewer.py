@@ -1,5 +1,7 @@
 """highway-env's viewer with layers over it: what `render()` of every environment shows."""
 
+import os
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +27,7 @@ class SceneViewer(EnvViewer):
     """
 
     def __init__(self, env: Any) -> None:
+        _open_display()
         super().__init__(env)
         self.canvas = Canvas(*self.sim_surface.get_size())
         self._ground: tuple[Any, pygame.Surface] | None = None
@@ -62,6 +65,19 @@ class SceneViewer(EnvViewer):
                 LaneGraphics.display(lane, surface)
             self._ground = place, surface.copy()
         surface.blit(self._ground[1], (0, 0))
+
+
+def _open_display() -> None:
+    """Start pygame's display. Where there is none, SDL is not left to look for one: it complains on standard error."""
+    named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
+    if named or sys.platform in ("win32", "darwin"):
+        pygame.display.init()
+        return
+    os.environ["SDL_VIDEODRIVER"] = "dummy"
+    try:
+        pygame.display.init()
+    finally:
+        del os.environ["SDL_VIDEODRIVER"]  # a display may be started later
 
 
 def picture(env: Any, extra: Sequence[Layer] = ()) -> Image:

@@ -1,7 +1,7 @@
 """Episodes of a scoring run as GIFs: driven again, drawn, and compared with their records."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
+from concurrent.futures import as_completed
 from functools import partial
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, coun
 
 
 def _drawn(settings: Settings, records: Sequence[Record], folder: Path) -> Iterator[int]:
-    """Write the GIFs; how many have been since the last time, some ten times a second."""
+    """Write the GIFs; a one for each."""
     draw = partial(write_film, settings, folder=folder)
     if settings.jobs == 1 or len(records) <= 1:
         for record in records:
@@ -42,12 +42,9 @@ def _drawn(settings: Settings, records: Sequence[Record], folder: Path) -> Itera
             yield 1
         return
     with workers(min(settings.jobs, len(records))) as (pool, _):
-        running = {pool.submit(draw, record) for record in records}
-        while running:
-            finished, running = wait(running, 0.1, FIRST_COMPLETED)
-            for future in finished:
-                future.result()
-            yield len(finished)
+        for drawn in as_completed([pool.submit(draw, record) for record in records]):
+            drawn.result()
+            yield 1
 
 
 def first_of_each(records: Iterable[Record], count: int) -> list[Record]:

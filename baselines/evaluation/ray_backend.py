@@ -11,7 +11,6 @@ from baselines.workers import register_scenarios, registered_scenarios
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
-POLLED_EVERY = 1.0  # s
 
 
 def check_ray() -> None:
@@ -20,8 +19,8 @@ def check_ray() -> None:
         raise ValueError("backend ray needs ray, which is not installed: pip install 'cad-env[ray]'")
 
 
-def on_ray(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) -> Generator[list[_Result], None, None]:
-    """Yield results as they come, or none while there is none. Ray is shut down afterwards if it was started here.
+def on_ray(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) -> Generator[_Result, None, None]:
+    """Yield results as they come. Ray is shut down afterwards if it was started here.
 
     Ray repeats a task whose worker has died; BrokenExecutor if that happens again and again. `jobs` is the number of
     cores to use on this machine; on a cluster every task takes one.
@@ -46,8 +45,8 @@ def on_ray(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) 
         remote = ray.remote(there)
         waiting = [remote.remote(task) for task in tasks]
         while waiting:
-            finished, waiting = ray.wait(waiting, timeout=POLLED_EVERY)
-            yield [ray.get(done) for done in finished]
+            (done,), waiting = ray.wait(waiting)
+            yield ray.get(done)
     except RayTaskError:
         raise  # the work itself failed
     except RayError as error:

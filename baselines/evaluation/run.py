@@ -61,10 +61,9 @@ def completed(settings: Settings, store: Store, advance: Callable[[int], object]
 def _drive_missing(settings: Settings, store: Store, advance: Callable[[int], object]) -> None:
     with closing(_driven(settings, _missing(settings, store))) as finished:
         for records in finished:
-            new = [record for record in records if key_of(record) not in store.records]
-            if new:
+            if new := [record for record in records if key_of(record) not in store.records]:
                 store.append(new)
-            advance(len(new))  # also when there is nothing new, for progress to be shown
+                advance(len(new))
 
 
 def identity(settings: Settings) -> dict[str, Any]:
@@ -111,11 +110,10 @@ def drive_task(settings: Settings, task: Task) -> Iterator[Record]:
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:
-    """Records as episodes end; from several processes, some come twice, and an empty list while there is none."""
+    """Records as episodes end; from several processes, some come twice."""
     work = partial(_drive_and_tell, settings)
     if settings.backend == "ray" and tasks:
-        for finished_tasks in on_ray(work, tasks, settings.jobs):
-            yield [record for records in finished_tasks for record in records]
+        yield from on_ray(work, tasks, settings.jobs)
     elif settings.jobs == 1 or len(tasks) <= 1:
         for task in tasks:
             for record in drive_task(settings, task):

@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +19,7 @@ from baselines.signals import (
     sigterm_as_ctrl_c,
     sigterm_handler_kept,
 )
+from cad_env.files import replace_file
 
 
 def ignored(*_: object) -> None:
@@ -90,6 +92,20 @@ def test_what_must_be_whole_is_done_before_a_signal_is_heard(number: int, kind: 
         done.append("not reached")
     assert done == ["whole"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interruption_right_after_a_file_is_there_is_still_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(here: str, there: Path) -> None:
+        rename(here, there)
+        raise KeyboardInterrupt
+
+    rename = os.replace
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        replace_file(tmp_path / "file", b"whole")
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"whole"]
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="masks as POSIX has them")

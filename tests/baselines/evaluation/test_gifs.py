@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from baselines import cli
+from baselines.cli import Progress
 from baselines.evaluation import gifs
 from baselines.evaluation.gifs import first_of_each, write_gifs
 from baselines.evaluation.run import drive_task
@@ -54,9 +54,11 @@ def test_an_episode_that_does_not_end_as_recorded_is_refused(records: list[Recor
     assert not list(tmp_path.iterdir())
 
 
-def test_worker_processes_draw_what_this_one_does(
+def test_worker_processes_draw_what_this_one_does_and_both_tell_how_far_they_are(
     records: list[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
+    told: list[tuple[float, float, str]] = []
+    monkeypatch.setattr(Progress, "update", lambda bar, done: told.append((done, bar._total, bar._what)))
     short = [record for record in records if record.outcome == "collision"][:1]
     chosen = [*short, replace(short[0], scenario="left_turn", method="expert", outcome="success")]
     alone = write_gifs(SETTINGS, chosen, tmp_path / "alone", 1)
@@ -64,6 +66,7 @@ def test_worker_processes_draw_what_this_one_does(
     together = write_gifs(replace(SETTINGS, jobs=2), chosen, tmp_path / "together", 1)
     assert [path.name for path in together] == [path.name for path in alone]
     assert [path.read_bytes() for path in together] == [path.read_bytes() for path in alone]
+    assert told == [(1, 2, "drawing")] * 4
 
 
 def test_a_worker_refuses_an_episode_that_does_not_end_as_recorded(records: list[Record], tmp_path: Path):
@@ -71,14 +74,3 @@ def test_a_worker_refuses_an_episode_that_does_not_end_as_recorded(records: list
     with pytest.raises(ValueError, match="ends in collision, but was recorded as"):
         write_gifs(replace(SETTINGS, jobs=2), wrong, tmp_path / "gifs", 1)
     assert not (tmp_path / "gifs").exists()
-
-
-def test_progress_is_shown_without_a_terminal(
-    records: list[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.setattr(cli, "LINE_EVERY", 0.0)
-    monkeypatch.setattr(gifs, "write_film", lambda settings, record, folder: folder)
-    some = [replace(records[0], outcome=outcome) for outcome in ("timeout", "success")]
-    write_gifs(SETTINGS, some, tmp_path, 1)
-    said = capsys.readouterr().err.splitlines()
-    assert [line.partition(",")[0] for line in said] == ["drawing 50 %", "drawing 100 %"]

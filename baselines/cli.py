@@ -5,6 +5,7 @@ import io
 import math
 import re
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from itertools import groupby
@@ -12,8 +13,7 @@ from typing import TypeVar
 
 import tyro
 
-INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
-
+from baselines.signals import exit_code
 
 Parsed = TypeVar("Parsed")
 
@@ -39,10 +39,9 @@ def _first_part(box: str, kind: str) -> str:
 
 def stopped(error: BaseException, where: str = "") -> int:
     """Print how to resume; return the exit code."""
-    interrupted = isinstance(error, KeyboardInterrupt)
-    how = "stopped" if interrupted else "error: a worker process died"
+    how = "stopped" if isinstance(error, KeyboardInterrupt) else "error: a worker process died"
     print(f"{how}{where}; run the same command to resume", file=sys.stderr)
-    return INTERRUPTED if interrupted else 1
+    return exit_code(error) if isinstance(error, KeyboardInterrupt) else 1
 
 
 def refused(error: Exception) -> int:
@@ -65,34 +64,42 @@ class Progress:
         from tqdm import tqdm  # here, so that --help is quick
 
         self._total, self._what, self._done = total, what, done
-        self._begun = self._said = time.monotonic()
+        self._begun = time.monotonic()
         self._first = done
         terminal = sys.stderr.isatty()
         self._bar = tqdm(total=total, initial=done, desc=what, bar_format=BAR, disable=not terminal)
-        self._silent = terminal
+        self._over = threading.Event()
+        self._teller = None if terminal else threading.Thread(target=self._tell, daemon=True)
 
     def __enter__(self) -> "Progress":
+        if self._teller is not None:
+            self._teller.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._teller is not None:
+            self._teller.join()  # no line comes after the end
         self._bar.close()
 
     def update(self, done: float) -> None:
         """So much more has been done."""
         self._done += done
         self._bar.update(done)
-        now = time.monotonic()
-        if not self._silent and now - self._said >= LINE_EVERY:
-            self._said = now
-            print(self._line(now), file=sys.stderr, flush=True)
 
     def describe(self, what: str) -> None:
         """Another stage begins."""
         self._what = what
         self._bar.set_description(what)
 
-    def _line(self, now: float) -> str:
+    def _tell(self) -> None:
+        """In a thread of its own, because a piece of work may take longer than the time between two lines."""
+        while not self._over.wait(LINE_EVERY):
+            print(self._line(), file=sys.stderr, flush=True)
+
+    def _line(self) -> str:
         """E.g. `training 42 %, about 3 min left`."""
+        now = time.monotonic()
         share = min(self._done / self._total, 1.0) if self._total else 1.0
         here = self._done - self._first
         rest = (self._total - self._done) * (now - self._begun) / here if here >= 0.01 * self._total else math.inf

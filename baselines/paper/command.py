@@ -12,6 +12,7 @@ from typing import Any
 from baselines.cli import Progress, parsed, refused, stopped
 from baselines.folder_note import claim
 from baselines.paper.presets import PRESETS
+from baselines.signals import sigterm_as_ctrl_c
 from cad_env.config import check_range
 from cad_env.version import version
 
@@ -44,6 +45,7 @@ class ReproduceSettings:
         return f"python reproduce.py --preset {self.preset} --out {self.out}"
 
 
+@sigterm_as_ctrl_c()
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:

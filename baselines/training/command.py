@@ -11,6 +11,7 @@ from baselines.cli import Progress, parsed, refused, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import ALL_SCENARIOS, Settings
 from baselines.methods import folder_of, learned_named, radio_of
+from baselines.signals import import_whole, sigterm_as_ctrl_c
 from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
 from cad_env.config import check_range, radio_config
 from policies.training.config import TrainingConfig
@@ -114,20 +115,27 @@ class TrainSettings:
         return found
 
 
+@sigterm_as_ctrl_c()
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
         settings = parsed(TrainSettings, argv)
+        import_whole("policies.model_folder")
         tasks = settings.tasks()
         for task in tasks:
             claim_folder(task)
         scoring = settings.scoring() if settings.score else []
         train_all(settings, tasks)
+        print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
+        return _all_scored(settings, scoring)
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
         return stopped(error)
-    print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
+
+
+def _all_scored(settings: TrainSettings, scoring: Sequence[Settings]) -> int:
+    """Score, over one radio after the other; the exit code."""
     for each in scoring:
         if len(scoring) > 1 or each.radio != settings.radio:
             print(f"Over the radio {each.radio}:")

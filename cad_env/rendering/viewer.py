@@ -1,5 +1,7 @@
 """highway-env's viewer with layers over it: what `render()` of every environment shows."""
 
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -28,6 +30,7 @@ class SceneViewer(EnvViewer):
     def __init__(self, env: Any, window_lost: bool = False) -> None:
         self.window_lost = window_lost  # closed by the user, or gone with another one's: it does not come back
         self.screen_settings = _screen_settings(env.config)
+        _open_display()
         super().__init__(env, {**env.config, "offscreen_rendering": True} if window_lost else None)
         # The stock viewer's keys would shift the setting itself.
         self.sim_surface.centering_position = list(self.sim_surface.centering_position)
@@ -97,6 +100,19 @@ def viewer_of(env: Any) -> SceneViewer:
     if viewer is None or viewer.screen_settings != _screen_settings(env.config):
         viewer = SceneViewer(env, viewer is not None and viewer.window_lost)
     return viewer
+
+
+def _open_display() -> None:
+    """Start pygame's display. Where there is none, SDL is not left to look for one: it complains on standard error."""
+    named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
+    if named or sys.platform in ("win32", "darwin"):
+        pygame.display.init()
+        return
+    os.environ["SDL_VIDEODRIVER"] = "dummy"
+    try:
+        pygame.display.init()
+    finally:
+        del os.environ["SDL_VIDEODRIVER"]  # a display may be started later
 
 
 def picture(env: Any, extra: Sequence[Layer] = ()) -> Image:

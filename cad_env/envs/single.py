@@ -19,7 +19,7 @@ from cad_env.rendering.viewer import SceneViewer
 from cad_env.scenarios import scenario_named
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import BRAKE, COLLISION, GO, SUCCESS, TIMEOUT, Floats, Observation
+from cad_env.types import BRAKE, COLLISION, GO, MAX_STEPS, SUCCESS, Floats, Observation
 from cad_env.world.state import Truth
 
 RENDER_MODES = ("human", "rgb_array")
@@ -125,7 +125,11 @@ class CADEnv(AbstractEnv):
         return simulation.observation(0), self._info()
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Decide, let 0.1 s pass, perceive. The other connected vehicles follow their drivers."""
+        """Decide, let 0.1 s pass, perceive. The other connected vehicles follow their drivers.
+
+        `terminated`: the ego has arrived or collided; `truncated`: time is up (MAX_STEPS), as Gymnasium's TimeLimit has
+        it. Both may be True in the last decision; `info["outcome"]` is how it ended.
+        """
         if self.done:
             raise RuntimeError("the episode is over: call reset() before step()")
         simulation = self.simulation
@@ -138,8 +142,8 @@ class CADEnv(AbstractEnv):
         if self.render_mode == "human":
             self.render()
         return (
-            simulation.observation(0), self._reward(action), outcome in (SUCCESS, COLLISION), outcome == TIMEOUT,
-            self._info(),
+            simulation.observation(0), self._reward(action), outcome in (SUCCESS, COLLISION),
+            simulation.steps >= MAX_STEPS, self._info(),
         )  # fmt: skip
 
     def _reward(self, action: int) -> float:

@@ -44,7 +44,8 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
     terminated beside it only if they arrive or crash in this very step.
 
     Keyword arguments as for CADEnv, and `max_cycles`, decisions until time is up. There are three collaborators
-    unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it.
+    unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it;
+    it keeps them as float32, which rounds a `seed` from 2**24 on: infos of `FixedAgents` have it in two numbers.
 
     >>> env = CADParallelEnv()
     >>> observations, infos = env.reset(seed=1)

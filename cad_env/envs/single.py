@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 
-from cad_env.config import check_names
+from cad_env.config import check_keywords, check_names
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import ego_step, progress, reward_named
 from cad_env.lidar.config import space_with
@@ -49,7 +49,7 @@ class CADEnv(AbstractEnv):
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
-        check_names("option", options, [*_SETUP, "object_lists", "reward", "layers", "config", "render_mode"])
+        check_keywords(options, [*_SETUP, "object_lists", "reward", "layers", "config", "render_mode"])
         self.viewer: SceneViewer | None = None
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
 

@@ -7,9 +7,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from highway_env.envs.common.abstract import AbstractEnv
 
 from cad_env.config import check_keywords, check_names
+from cad_env.envs.highway_base import HighwayBase
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import ego_step, progress, reward_named
 from cad_env.lidar.config import space_with
@@ -26,7 +26,7 @@ RENDER_MODES = ("human", "rgb_array")
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "share", "codec")
 
 
-class CADEnv(AbstractEnv):
+class CADEnv(HighwayBase):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset

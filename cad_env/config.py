@@ -91,8 +91,34 @@ def radio_config(radio: str | RadioConfig) -> RadioConfig:
     return RADIO_PRESETS[radio]
 
 
+class UnknownNameError(ValueError, TypeError):
+    """A name that does not exist: a wrong value, as what users get wrong is here, and also an unexpected keyword.
+
+    Libraries that hand over more than an environment may take (TorchRL's GymEnv, Gymnasium) try without a keyword
+    when a TypeError names it as unexpected.
+    """
+
+
 def check_names(what: str, given: dict[str, object], allowed: list[str]) -> None:
-    """Refuse a misspelt key with a one-line ValueError that names it, its value and what is allowed."""
+    """Refuse a misspelt key with a one-line UnknownNameError that has it, its value and what is allowed."""
     for name, value in given.items():
         if name not in allowed:
-            raise ValueError(f"unknown {what} {name}={value!r}: choose among {', '.join(sorted(allowed))}")
+            raise UnknownNameError(_unknown(what, name, value, allowed))
+
+
+def check_keywords(given: dict[str, object], allowed: list[str]) -> None:
+    """Refuse a keyword argument as `check_names` does, and in the words of Python that libraries look for.
+
+    >>> check_keywords({"frameskip": 1}, ["radio", "depth"])
+    Traceback (most recent call last):
+    cad_env.config.UnknownNameError: unknown option frameskip=1: choose among depth, radio
+    (__init__() got an unexpected keyword argument 'frameskip')
+    """
+    for name, value in given.items():
+        if name not in allowed:
+            said = _unknown("option", name, value, allowed)
+            raise UnknownNameError(f"{said} (__init__() got an unexpected keyword argument {name!r})")
+
+
+def _unknown(what: str, name: str, value: object, allowed: list[str]) -> str:
+    return f"unknown {what} {name}={value!r}: choose among {', '.join(sorted(allowed))}"

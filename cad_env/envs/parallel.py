@@ -22,10 +22,9 @@ from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
 from cad_env.scenarios.registry import scenario_of_id
 from cad_env.scenarios.scenario import Scenario
-from cad_env.simulation.scene_step import MAX_STEPS
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
-from cad_env.types import COLLISION, GO, SUCCESS, TIMEOUT, Floats, Ints, Observation
+from cad_env.types import COLLISION, GO, MAX_STEPS, SUCCESS, TIMEOUT, Floats, Ints, Observation
 from cad_env.world.state import Truth
 from cad_env.world.time_to_contact import time_to_contact
 
@@ -42,9 +41,12 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
     An agent that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
     An agent that can only wait (at a red light, in a queue, parked; `info["waits"]`) stays until nobody else is left,
     and then leaves unharmed, with the outcome `waited` and no reward. `outcomes` has the outcome of each that has left.
+    Whoever leaves is terminated. When time is up all that are left are truncated, those that only waited too, and
+    terminated beside it only if they arrive or crash in this very step.
 
     Keyword arguments as for CADEnv, and `max_cycles`, decisions until time is up. There are three collaborators
-    unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it.
+    unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it;
+    it keeps them as float32, which rounds a `seed` from 2**24 on: infos of `FixedAgents` have it in two numbers.
 
     >>> env = CADParallelEnv()
     >>> observations, infos = env.reset(seed=1)
@@ -123,8 +125,9 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         there, outcomes = self.agents, self._outcomes()
         rewards, infos, observations = self._rewards(outcomes, chosen), self._infos(outcomes), self._observations()
         ended = [outcomes[self._number[agent]] for agent in there]
-        terminations = {agent: end is not None and end != TIMEOUT for agent, end in zip(there, ended, strict=True)}
-        truncations = {agent: end == TIMEOUT for agent, end in zip(there, ended, strict=True)}
+        by_itself = (SUCCESS, COLLISION) if self._time_is_up else (SUCCESS, COLLISION, WAITED)
+        terminations = {agent: end in by_itself for agent, end in zip(there, ended, strict=True)}
+        truncations = dict.fromkeys(there, self._time_is_up)
         self.outcomes.update({agent: end for agent, end in zip(there, ended, strict=True) if end is not None})
         self.agents = [agent for agent, end in zip(there, ended, strict=True) if end is None]
         if self.render_mode == "human":
@@ -140,10 +143,14 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
             chosen[self._number[agent]] = checked_action(actions[agent])
         return chosen
 
+    @property
+    def _time_is_up(self) -> bool:
+        return self.simulation.steps >= self.max_cycles
+
     def _outcomes(self) -> list[str | None]:
         """How it ended for every connected vehicle, None for those who go on."""
         world, rows = self.simulation.world, self.simulation.agents
-        over = self.simulation.steps >= self.max_cycles
+        over = self._time_is_up
         struck, arrived = (world.struck[rows] >= 0).tolist(), (world.progress[rows] >= self._goal).tolist()
         outcomes = [outcome_of(s, a, over) for s, a in zip(struck, arrived, strict=True)]
         alive = [k for k in map(self._number.__getitem__, self.agents) if outcomes[k] in (None, TIMEOUT)]
@@ -191,12 +198,11 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         speed = simulation.world.speed[simulation.agents].tolist()
         sent, received, lost = air.sent_bytes.tolist(), air.received_bytes.tolist(), air.lost.tolist()
         refused = air.messages_refused.tolist()
-        seed, hazard = simulation.seed, simulation.scene.hazard
-        infos = {}
+        episode, infos = simulation.episode_info(), {}
         for agent in self.agents:
             k = self._number[agent]
             infos[agent] = {
-                "seed": seed, "hazard": hazard, "waits": self._waits[k],
+                **episode, "waits": self._waits[k],
                 "is_success": outcomes[k] == SUCCESS, "crashed": outcomes[k] == COLLISION,
                 "covered": covered[k], "speed": speed[k],
                 "bytes_sent": sent[k], "bytes_received": received[k], "messages_lost": lost[k],

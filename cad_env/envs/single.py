@@ -7,9 +7,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from highway_env.envs.common.abstract import AbstractEnv
 
-from cad_env.config import check_names
+from cad_env.config import check_keywords, check_names
+from cad_env.envs.highway_base import HighwayBase
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import ego_step, progress, reward_named
 from cad_env.lidar.config import space_with
@@ -20,7 +20,7 @@ from cad_env.rendering.viewer import SceneViewer, viewer_of
 from cad_env.scenarios import scenario_named
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import BRAKE, COLLISION, GO, SUCCESS, TIMEOUT, Floats, Observation
+from cad_env.types import BRAKE, COLLISION, GO, MAX_STEPS, SUCCESS, Floats, Observation
 from cad_env.world.state import Truth
 
 RENDER_MODES = ("human", "rgb_array")
@@ -31,7 +31,7 @@ _FIXED = {
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "share", "codec")
 
 
-class CADEnv(CopiedWhole, AbstractEnv):
+class CADEnv(CopiedWhole, HighwayBase):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset
@@ -54,7 +54,7 @@ class CADEnv(CopiedWhole, AbstractEnv):
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
-        check_names("option", options, [*_SETUP, "object_lists", "reward", "layers", "config", "render_mode"])
+        check_keywords(options, [*_SETUP, "object_lists", "reward", "layers", "config", "render_mode"])
         self.viewer: SceneViewer | None = None
         self._default = self.default_config()
         super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
@@ -133,7 +133,11 @@ class CADEnv(CopiedWhole, AbstractEnv):
         return simulation.observation(0), self._info()
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Decide, let 0.1 s pass, perceive. The other connected vehicles follow their drivers."""
+        """Decide, let 0.1 s pass, perceive. The other connected vehicles follow their drivers.
+
+        `terminated`: the ego has arrived or collided; `truncated`: time is up (MAX_STEPS), as Gymnasium's TimeLimit has
+        it. Both may be True in the last decision; `info["outcome"]` is how it ended.
+        """
         if self.done:
             raise RuntimeError("the episode is over: call reset() before step()")
         simulation = self.simulation
@@ -146,8 +150,8 @@ class CADEnv(CopiedWhole, AbstractEnv):
         if self.render_mode == "human":
             self.render()
         return (
-            simulation.observation(0), self._reward(action), outcome in (SUCCESS, COLLISION), outcome == TIMEOUT,
-            self._info(),
+            simulation.observation(0), self._reward(action), outcome in (SUCCESS, COLLISION),
+            simulation.steps >= MAX_STEPS, self._info(),
         )  # fmt: skip
 
     def _reward(self, action: int) -> float:

@@ -17,9 +17,9 @@ from cad_env.lidar.config import space_with
 from cad_env.numerics.record_array import CopiedWhole
 from cad_env.scenarios.scenario import Scenario
 from cad_env.simulation.batch import SceneBatch, masked
-from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
+from cad_env.simulation.scene_step import COLLIDED, SUCCEEDED
 from cad_env.simulation.setup import setup_from
-from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
+from cad_env.types import BRAKE, GO, MAX_STEPS, Bools, Floats, Ints, Observation
 
 _Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
 
@@ -29,7 +29,8 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
 
     Keyword arguments: those of CADEnv but `config` and `render_mode`; `scenario` may also be a list of them, which the
     scenes take in turn. `autoreset_mode` is one of Gymnasium's ("NextStep", "SameStep", "Disabled"), `copy=False`
-    hands out the same arrays at every step. Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
+    hands out the same arrays at every step; `max_episode_steps` ends episodes before their time is up, as Gymnasium's
+    TimeLimit does (None or -1: it does not). Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
 
     >>> envs = CADVectorEnv(num_envs=3, radio="dsrc")
     >>> observations, infos = envs.reset(seed=1, options={"hazard": True})
@@ -47,6 +48,7 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
         scenario: str | Scenario | Sequence[str | Scenario] = "left_turn",
         object_lists: bool = False,
         reward: str | Reward = "progress",
+        max_episode_steps: int | None = None,
         **options: Any,
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
@@ -68,6 +70,8 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._everywhere = np.ones(num_envs, np.bool_)
         self._over = np.zeros(num_envs, np.bool_)  # episodes that have ended and not begun anew
+        self._decisions = np.zeros(num_envs, np.int64)  # so far in each episode
+        self._limit = _checked_limit(max_episode_steps)
         self._chance: list[np.random.Generator | None] = [None] * num_envs
         self._started = False
 
@@ -101,14 +105,15 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
         going = np.flatnonzero(~over)
         before = self._progress(going)
         self.batch.step(going, chosen[going])
+        self._decisions[going] += 1
         earned = self._earned(going, chosen, before)
         for place in np.flatnonzero(over).tolist():
             self._start(place)
         rewards, outcomes = self.batch.rewards.copy(), self.batch.outcomes
         if earned is not None:
             rewards = earned
-        truncations = outcomes == TIMED_OUT
-        terminations = (outcomes != UNDER_WAY) & ~truncations
+        truncations = self._decisions >= self._limit
+        terminations = (outcomes == SUCCEEDED) | (outcomes == COLLIDED)
         self._over = terminations | truncations
         final = self._begun_anew() if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any() else {}
         return self._observations(), rewards, terminations, truncations, {**final, **self._infos(self._everywhere)}
@@ -145,7 +150,7 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
             chance, _ = np_random(seed)
             self._chance[place] = chance
         self.batch.start(place, int(chance.integers(2**31)) if seed is None else seed, hazard)
-        self._over[place] = False
+        self._over[place], self._decisions[place] = False, 0
 
     def _observations(self) -> Observation:
         seen = self.batch.observations
@@ -167,6 +172,15 @@ def _checked_mask(mask: Any, count: int) -> Bools:
     if mask.shape != (count,) or not mask.any():
         raise ValueError(f"options['reset_mask'] must hold {count} bools and at least one True, got {mask!r}")
     return mask
+
+
+def _checked_limit(given: int | None) -> int:
+    """Decisions in the longest episode; Gymnasium's make_vec hands over the limit of the id."""
+    if given is None or given == -1:
+        return MAX_STEPS
+    if isinstance(given, bool) or not isinstance(given, int) or given < 1:
+        raise ValueError(f"max_episode_steps must be a whole number from 1 on, -1 or None, got {given!r}")
+    return min(given, MAX_STEPS)
 
 
 def _checked_actions(actions: Any, count: int) -> Ints:

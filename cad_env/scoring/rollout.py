@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.simulation.batch import SceneBatch
-from cad_env.simulation.scene_step import MAX_STEPS, UNDER_WAY
+from cad_env.simulation.scene_step import UNDER_WAY
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import BRAKE, STEP, Floats, Ints, Observation, Policy
+from cad_env.types import BRAKE, MAX_STEPS, STEP, Floats, Ints, Observation, Policy
 
 BRAKE_WINDOW = 5  # decisions: 0.5 s
 
@@ -34,7 +34,7 @@ class Episode:
     largest_message: Ints  # (n,) bytes
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
-    hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet
+    hazard_time: float  # s after an unbraked ego that the hidden vehicle is where they meet; NaN if never
     connected: int  # vehicles, the ego included
 
     @property
@@ -206,7 +206,7 @@ class _Log:
         info = simulation.info()
         return Episode(
             simulation.scenario.name, method, info["seed"], info["hazard"], info["outcome"],
-            self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_timing=info["hazard_timing"],
+            self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_time=info["hazard_time"],
             connected=len(simulation.agents),
             **{name: part[place, :count].copy() for name, part in self._step_info.items()},
         )  # fmt: skip

@@ -52,8 +52,8 @@ class SceneBatch(CopiedWhole):
         simulation.start(seed, hazard, receivers=1)
         for name, value in simulation.episode_info().items():
             if name not in self._episodes:
-                self._episodes[name] = np.zeros(len(self), float if value is None else type(value))
-            self._episodes[name][place] = value  # numpy, as Gymnasium's own vectors, makes NaN of None
+                self._episodes[name] = np.zeros(len(self), type(value))
+            self._episodes[name][place] = value
 
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""

@@ -20,12 +20,11 @@ from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
-from cad_env.types import COLLISION, COMMANDS, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
+from cad_env.types import COLLISION, COMMANDS, FRAMES, MAX_STEPS, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance
 from cad_env.world.time_to_contact import time_to_contact
 
-MAX_STEPS = 300  # decisions: 30 s
 # How it stands for a vehicle, as compiled code knows it, and the reward that comes with it.
 UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3
 OUTCOME_BY_CODE = (None, SUCCESS, COLLISION, TIMEOUT)

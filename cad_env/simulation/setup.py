@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
+from cad_env.config import RadioConfig, SensorConfig, check_keywords, check_names, check_range, radio_config
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
@@ -66,9 +66,9 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     >>> setup_from({"radoi": "cv2x"})
     Traceback (most recent call last):
     ...
-    ValueError: unknown option radoi='cv2x': choose among cloud, codec, depth, penetration, radio, ranges, ...
+    cad_env.config.UnknownNameError: unknown option radoi='cv2x': choose among cloud, codec, depth, penetration, ...
     """
-    check_names("option", dict(options), [f.name for f in fields(Setup)])
+    check_keywords(dict(options), [f.name for f in fields(Setup)])
     given = dict(options)
     if "scenario" in given:
         given["scenario"] = scenario_named(given["scenario"]).name

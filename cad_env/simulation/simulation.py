@@ -192,8 +192,13 @@ class Simulation(CopiedWhole):
         return self.steps * STEP
 
     def episode_info(self) -> dict[str, Any]:
-        """What info says of a whole episode."""
-        return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_timing": self.scene.timing}
+        """What info says of a whole episode, the same in every environment.
+
+        `hazard_time`, s: how long after an ego that never brakes the hidden vehicle is where they meet; NaN if never.
+        """
+        scene = self.scene
+        time = math.nan if scene.timing is None else float(scene.timing)
+        return {"seed": self.seed, "hazard": scene.hazard, "hazard_time": time}
 
     def info(self) -> dict[str, Any]:
         """What info says of the newest step, for the ego: plain numbers. `SceneBatch.infos` says the same of many."""

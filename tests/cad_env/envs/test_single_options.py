@@ -1,12 +1,16 @@
 """The settings of the single-agent environment: their spellings, and what is refused."""
 
 import re
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium as gym
 import pytest
 
 from cad_env import RADIO_PRESETS, SensorConfig
+from cad_env.envs.parallel import parallel_env
 from cad_env.envs.single import CADEnv
+from cad_env.envs.vector import CADVectorEnv
 from cad_env.types import GO
 
 WRONG = [
@@ -83,3 +87,26 @@ def test_a_reset_can_change_settings():
     *_, info = env.step(GO)
     assert info["bytes_sent"] == 0
     assert env.config["radio"] == "none"
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **options: gym.make("CADLeftTurn-v0", **options),
+        lambda **options: gym.make("cad_env:CADScenario-v0", scenario="overtaking", **options),
+        lambda **options: gym.make_vec("CADLeftTurn-v0", **options),
+        lambda **options: gym.make_vec("CADLeftTurn-v0", vectorization_mode="sync", **options),
+        lambda **options: parallel_env("CADLeftTurn-v0", **options),
+        CADEnv,
+        CADVectorEnv,
+    ],
+)
+def test_libraries_that_try_a_keyword_learn_that_it_is_unexpected(make: Callable[..., Any]):
+    # As TorchRL's GymEnv does: it leaves `frameskip` out if a TypeError says that.
+    with pytest.raises(
+        TypeError, match=re.escape("__init__() got an unexpected keyword argument 'frameskip'")
+    ) as found:
+        make(frameskip=1)
+    assert isinstance(found.value, ValueError)
+    assert "\n" not in str(found.value)
+    assert str(found.value).startswith("unknown option frameskip=1: choose among ")

@@ -4,7 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
+import numpy as np
+
+from cad_env.checks import check_mapping, check_numbers, check_range, settle
+from cad_env.config import RadioConfig, SensorConfig, check_names, knows_its_names, radio_config
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
@@ -12,6 +15,7 @@ from cad_env.simulation.graph_exchange import GraphCodec, ShareRule
 from cad_env.types import FRAMES
 
 
+@knows_its_names("option")
 @dataclass(frozen=True)
 class Setup:
     """Everything about an environment that is not drawn from the seed."""
@@ -28,9 +32,9 @@ class Setup:
     codec: GraphCodec | None = None  # how a graph becomes bytes; None: the project's own message format
 
     def __post_init__(self) -> None:
-        check_range("depth", self.depth, 1, FRAMES)
-        if int(self.depth) != self.depth:
-            raise ValueError(f"depth must be a whole number, got {self.depth!r}")
+        check_numbers(self, "", {"depth": (1, FRAMES), "penetration": (0.0, 1.0)})
+        ranges = check_mapping("ranges", self.ranges, "the scenario's ranges")
+        settle(self, "ranges", {name: plain(value) for name, value in ranges.items()})
         if self.cloud is not None:
             check_range("sensor range with clouds", self.sensor.range, 1.0, MAX_RANGE)
         if self.share is not None and not callable(self.share):
@@ -42,12 +46,19 @@ class Setup:
         Traffic(self.traffic, self.penetration)
         scenario = scenario_named(self.scenario)
         scenario.configured(dict(self.ranges))
-        object.__setattr__(self, "scenario", scenario.name)
+        settle(self, "scenario", scenario.name)
 
     @property
     def exchanges_graphs(self) -> bool:
         """Whether graphs are sent by rules from outside, and not by the compiled path."""
         return self.share is not None or self.codec is not None
+
+
+def plain(value: Any) -> Any:
+    """numpy's numbers, bools and arrays as Python's own, and pairs of them; anything else as it is."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(plain(each) for each in value) if isinstance(value, list | tuple) else value
 
 
 def setup_from(options: Mapping[str, Any]) -> Setup:
@@ -73,6 +84,4 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     given["cloud"] = cloud_config(given.get("cloud"))
     if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
         raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
-    if "ranges" in given and not isinstance(given["ranges"], Mapping):
-        raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
     return Setup(**given)

@@ -1,11 +1,13 @@
 """Episodes as moving pictures: drive and film one, put two side by side, write a GIF."""
 
 from collections.abc import Iterable, Sequence
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 
+from cad_env.checks import check_path
 from cad_env.envs.single import CADEnv
 from cad_env.rendering.layers import Layer
 from cad_env.rendering.viewer import picture
@@ -37,8 +39,9 @@ def side_by_side(left: Sequence[Image], right: Sequence[Image]) -> list[Image]:
     return [np.concatenate([a, gap, b], axis=1) for a, b in pairs]
 
 
-def write_gif(frames: Iterable[Image], path: Path, hold: float = HOLD) -> Path:
+def write_gif(frames: Iterable[Image], path: str | PathLike[str], hold: float = HOLD) -> Path:
     """Frames 0.1 s apart as a GIF that repeats; all share one palette, so that what stands still costs nothing."""
+    path = check_path("path", path)
     images = [PIL.Image.fromarray(frame) for frame in frames]
     if not images:
         raise ValueError(f"a film without frames cannot be written to {path}")

@@ -6,13 +6,15 @@ with a one-line ValueError that has the name, what is allowed, and the value.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+Checked = TypeVar("Checked")
 
 
 def check_range(name: str, value: Any, low: float, high: float) -> float:
@@ -71,6 +73,23 @@ def check_path(name: str, value: Any) -> Path:
     return Path(value)
 
 
+def check_text(name: str, value: Any) -> str:
+    """A text that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{name} must be a text, got {value!r}")
+    return value
+
+
+def check_several(name: str, value: Any, check: Callable[[str, Any], Checked]) -> tuple[Checked, ...]:
+    """A tuple of what a check lets pass each; a single one counts as a tuple of it, and a text is a single one.
+
+    >>> check_several("method", "expert", check_text)
+    ('expert',)
+    """
+    several = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    return tuple(check(name, each) for each in (value if several else (value,)))
+
+
 def check_mapping(name: str, value: Any, of: str) -> dict[str, Any]:
     """A dict as a new one; `of` says in the message what it is a dict of."""
     if not isinstance(value, Mapping):
@@ -89,6 +108,13 @@ def check_numbers(record: Any, what: str, limits: Mapping[str, tuple[float, floa
             continue
         check: Any = check_whole if field.type in (int, int | None) else check_range
         settle(record, field.name, check(f"{what} {field.name}".lstrip(), value, *limits[field.name]))
+
+
+def plain(value: Any) -> Any:
+    """numpy's numbers, bools and arrays as Python's own, lists and arrays as tuples; anything else as it is."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(plain(each) for each in value) if isinstance(value, list | tuple) else value
 
 
 def settle(record: Any, name: str, value: Any) -> None:

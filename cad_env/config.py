@@ -1,7 +1,7 @@
 """The knobs of sensing and sharing: frozen, with units, and checked when they are made."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import wraps
 from numbers import Real
@@ -15,7 +15,7 @@ from cad_env.types import FRAMES, STEP
 Config = TypeVar("Config", bound=type)
 
 
-def check_names(what: str, given: Mapping[str, object], allowed: list[str]) -> None:
+def check_names(what: str, given: dict[str, object], allowed: list[str]) -> None:
     """Refuse a misspelt key with a one-line ValueError that names it, its value and what is allowed."""
     for name, value in given.items():
         if name not in allowed:

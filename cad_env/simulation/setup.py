@@ -4,9 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-import numpy as np
-
-from cad_env.checks import check_mapping, check_numbers, check_range, settle
+from cad_env.checks import check_mapping, check_numbers, check_range, plain, settle
 from cad_env.config import RadioConfig, SensorConfig, check_names, knows_its_names, radio_config
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
@@ -52,13 +50,6 @@ class Setup:
     def exchanges_graphs(self) -> bool:
         """Whether graphs are sent by rules from outside, and not by the compiled path."""
         return self.share is not None or self.codec is not None
-
-
-def plain(value: Any) -> Any:
-    """numpy's numbers, bools and arrays as Python's own, and pairs of them; anything else as it is."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    return tuple(plain(each) for each in value) if isinstance(value, list | tuple) else value
 
 
 def setup_from(options: Mapping[str, Any]) -> Setup:

@@ -203,7 +203,6 @@ def test_numpy_s_whole_numbers_are_seeds(kind: type):
         ({"ranges": {"collaborators": np.array([3, 4])}}, {"ranges": {"collaborators": (3, 4)}}),
         ({"ranges": {"ego_speed": np.array([7, 8], np.float32)}}, {"ranges": {"ego_speed": (7.0, 8.0)}}),
         ({"ranges": {"ego_speed": [np.int64(7), 8]}}, {"ranges": {"ego_speed": (7, 8)}}),
-        ({"ranges": {"hazard_share": np.float32(0.25)}}, {"ranges": {"hazard_share": 0.25}}),
     ],
 )
 def test_numpy_s_numbers_are_numbers(numpy_s: dict[str, Any], own: dict[str, Any]):

@@ -100,6 +100,7 @@ CALLS: list[tuple[Call, type[Exception], str]] = [
     (lambda: CADEnv(ranges=None), ValueError, "ranges must be a dict of the scenario's ranges, got None"),
     (lambda: CADEnv(ranges={"ego_speed": np.ones(3)}), ValueError, "ego_speed must be a pair (from, to) within [1"),
     (lambda: CADEnv(ranges={"collaborators": True}), ValueError, "collaborators must be a pair (from, to) within"),
+    (lambda: CADEnv(ranges={"collaborators": (3.0, 4)}), ValueError, "collaborators must be a pair of whole numbers, "),
     (lambda: parallel_env(max_cycles=5.0), ValueError, "max_cycles must be a whole number from 1 on, got 5.0"),
     (lambda: parallel_env(ranges=[]), ValueError, "ranges must be a dict of the scenario's ranges, got []"),
     (lambda: CADVectorEnv(True), ValueError, "num_envs must be a whole number from 1 on, got True"),

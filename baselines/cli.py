@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import TypeVar
 
 import tyro
@@ -20,6 +20,7 @@ Parsed = TypeVar("Parsed")
 
 def parsed(kind: type[Parsed], argv: Sequence[str] | None) -> Parsed:
     """A record from the command line; ValueError, one line, for what it does not take. `--help` exits."""
+    _refuse_empty(sys.argv[1:] if argv is None else argv)
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
@@ -28,6 +29,14 @@ def parsed(kind: type[Parsed], argv: Sequence[str] | None) -> Parsed:
         if not stop.code:
             raise
         raise ValueError(_first_part(box.getvalue(), kind.__name__)) from None
+
+
+def _refuse_empty(words: Sequence[str]) -> None:
+    """Refuse an option whose value is an empty text, which as a path would be the current folder."""
+    for before, word in pairwise(["", *words]):
+        option, equals, value = word.partition("=")
+        if not word or (equals and not value and option.startswith("--")):
+            raise ValueError(f"{(option or before or 'an argument').removeprefix('--')} must not be empty, got ''")
 
 
 def _first_part(box: str, kind: str) -> str:

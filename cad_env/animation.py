@@ -2,11 +2,13 @@
 
 import io
 from collections.abc import Iterable, Sequence
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 
+from cad_env.checks import check_path
 from cad_env.envs.single import CADEnv
 from cad_env.files import replace_file
 from cad_env.rendering.layers import Layer
@@ -39,11 +41,12 @@ def side_by_side(left: Sequence[Image], right: Sequence[Image]) -> list[Image]:
     return [np.concatenate([a, gap, b], axis=1) for a, b in pairs]
 
 
-def write_gif(frames: Iterable[Image], path: Path, hold: float = HOLD) -> Path:
+def write_gif(frames: Iterable[Image], path: str | PathLike[str], hold: float = HOLD) -> Path:
     """Frames 0.1 s apart as a GIF that repeats; all share one palette, so that what stands still costs nothing.
 
     The file is written whole or not at all. ValueError for a film without frames.
     """
+    path = check_path("path", path)
     images = [PIL.Image.fromarray(frame) for frame in frames]
     if not images:
         raise ValueError(f"a film without frames cannot be written to {path}")

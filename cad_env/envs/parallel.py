@@ -10,17 +10,25 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from cad_env.checks import check_whole
 from cad_env.envs.global_state import global_state, global_state_space
 from cad_env.envs.goals import goals
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import StepOutcome, progress, reward_named
-from cad_env.envs.single import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
+from cad_env.envs.single import (
+    RENDER_MODES,
+    CADEnv,
+    check_render_mode,
+    checked_action,
+    checked_options,
+    checked_seed,
+)
 from cad_env.numerics.record_array import CopiedWhole
 from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
-from cad_env.scenarios.registry import scenario_of_id
+from cad_env.scenarios.registry import scenario_named, scenario_of_id
 from cad_env.scenarios.scenario import Scenario
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
@@ -62,8 +70,7 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         check_render_mode(render_mode)
         self._reward = reward_named(options.pop("reward", "progress"))
         self.layers = checked_layers(options.pop("layers", tuple(LAYERS)))
-        if isinstance(max_cycles, bool) or not isinstance(max_cycles, int) or max_cycles < 1:
-            raise ValueError(f"max_cycles must be a whole number of decisions from 1, got {max_cycles!r}")
+        max_cycles = check_whole("max_cycles", max_cycles, 1)
         if options.get("cloud") is not None:
             raise ValueError(f"cloud is for one ego (CADEnv, CADVectorEnv) only, got {options['cloud']!r}")
         ranges = options.pop("ranges", {})
@@ -96,12 +103,13 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         """Draw a scene -> (observations, infos), a dict by agent each.
 
         A seed is an episode, the same one as in CADEnv, and the start of those of later resets without a seed. Option
-        `hazard` True or False forces the kind of episode; other options are PettingZoo's to pass.
+        `hazard` True or False forces the kind of episode; an option named `options`, which PettingZoo's own tests pass,
+        changes nothing.
         """
-        hazard = checked_hazard((options or {}).get("hazard"))
+        options, seed = checked_options(options, ["hazard", "options"]), checked_seed(seed)
         if seed is not None or self.np_random is None:
             self.np_random = np.random.default_rng(seed)
-        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard)
+        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, options["hazard"])
         simulation = self.simulation
         world, rows = simulation.world, simulation.agents
         self.agents, self.outcomes = self.possible_agents[: len(rows)], {}
@@ -136,6 +144,8 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
 
     def _chosen(self, actions: Mapping[str, int]) -> Ints:
         """(V,) what every connected vehicle does; those who have left go."""
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"actions must be a dict with one for each of {self.agents}, got {actions!r}")
         if not (self._number.keys() >= actions.keys() >= set(self.agents)):
             raise ValueError(f"one action for each of {self.agents} is needed, got {list(actions)}")
         chosen = np.full(len(self.simulation.agents), GO)
@@ -257,5 +267,10 @@ def parallel_env(
 ) -> CADParallelEnv:
     """The PettingZoo environment of an id or of a scenario, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
     if env_id not in ("CADScenario-v0", "cad_env:CADScenario-v0"):  # which has its scenario among the options
-        options["scenario"] = env_id if isinstance(env_id, Scenario) else scenario_of_id(env_id)
+        own = env_id if isinstance(env_id, Scenario) else scenario_of_id(env_id)
+        if "scenario" in options and scenario_named(options["scenario"]) is not own:
+            raise ValueError(
+                f"{env_id} is the scenario {own.name}, got scenario={options['scenario']!r}: use CADScenario-v0"
+            )
+        options["scenario"] = own
     return CADParallelEnv(render_mode=render_mode, **options)

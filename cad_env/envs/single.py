@@ -1,13 +1,16 @@
 """The single-agent environment: a highway-env AbstractEnv over the compiled world. The ego decides: go or brake."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
 
+from cad_env.checks import check_mapping, check_range, check_seed, check_switch, check_whole
 from cad_env.config import check_keywords, check_names
 from cad_env.envs.highway_base import HighwayBase
 from cad_env.envs.highway_vehicles import WorldRoad
@@ -19,14 +22,21 @@ from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer, viewer_of
 from cad_env.scenarios import scenario_named
 from cad_env.simulation.setup import setup_from
-from cad_env.simulation.simulation import Simulation
+from cad_env.simulation.simulation import Simulation, checked_hazard
 from cad_env.types import BRAKE, COLLISION, GO, MAX_STEPS, SUCCESS, Floats, Observation
 from cad_env.world.state import Truth
 
 RENDER_MODES = ("human", "rgb_array")
 _FIXED = {
-    "observation": {"type": "SpatiotemporalGraph"}, "action": {"type": "GoBrake"}, "simulation_frequency": 20,
+    "observation": {"type": "SpatiotemporalGraph"},
+    "action": {"type": "GoBrake"},
+    "simulation_frequency": 20,
     "policy_frequency": 10,
+}
+_SIZES = {"screen_width", "screen_height"}  # pixels
+_SWITCHES = {
+    "object_lists", "show_trajectories", "render_agent", "manual_control", "real_time_rendering",
+    "neighbour_vehicles_connected_lanes",
 }  # fmt: skip
 _SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "share", "codec")
 
@@ -51,13 +61,29 @@ class CADEnv(CopiedWhole, HighwayBase):
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012  Gymnasium's own form
     simulation: Simulation
+    _spec: EnvSpec | None = None
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
         check_keywords(options, [*_SETUP, "object_lists", "reward", "layers", "config", "render_mode"])
         self.viewer: SceneViewer | None = None
+        settings = checked_settings(config)
+        for name in options.keys() & settings.keys():
+            if _differ(name, options[name], settings[name]):
+                raise ValueError(f"{name} is given twice, as {options[name]!r} and in config as {settings[name]!r}")
         self._default = self.default_config()
-        super().__init__(config={**dict(config or {}), **options}, render_mode=render_mode)
+        super().__init__(config={**settings, **options}, render_mode=render_mode)
+        self._started = False  # highway-env has reset it, by a seed that nobody knows
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The id it was made by, and with what."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        check_scenario_of_id(spec, [self.simulation.scenario.name])
+        self._spec = spec
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -78,7 +104,7 @@ class CADEnv(CopiedWhole, HighwayBase):
         An unknown or changed-but-fixed one is refused with its name, value and the choices. If something else is to be
         simulated from now on, the episode is over, and `reset` begins the next one.
         """
-        given = dict(config or {})
+        given = checked_settings(config)
         settings = self._checked({**self._default, **self.config, **given})
         setup = setup_from({name: value for name, value in settings.items() if name in _SETUP})
         built: Simulation | None = getattr(self, "simulation", None)
@@ -96,6 +122,7 @@ class CADEnv(CopiedWhole, HighwayBase):
     def _checked(self, settings: dict[str, Any]) -> dict[str, Any]:
         """All settings, with the names of scenario and layers; ValueError for what there is not."""
         check_names("setting", settings, [*self._default, *_SETUP])
+        settings = checked_display(settings)
         for name, value in _FIXED.items():
             if settings[name] != value:
                 raise ValueError(f"{name} is {value!r} in this environment, got {settings[name]!r}")
@@ -115,12 +142,11 @@ class CADEnv(CopiedWhole, HighwayBase):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw a scene. Options: `hazard` True or False forces the kind of episode, `config` changes settings."""
-        options = options or {}
-        check_names("reset option", options, ["hazard", "config"])
-        hazard = checked_hazard(options.get("hazard"))
+        options, seed = checked_options(options, ["hazard", "config"]), checked_seed(seed)
         gym.Env.reset(self, seed=seed)
         self.configure(options.get("config"))
-        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard, receivers=1)
+        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, options["hazard"], 1)
+        self._started = True
         self.time, self.steps, self.done = 0.0, 0, False
         simulation = self.simulation
         self.road = WorldRoad(
@@ -138,6 +164,8 @@ class CADEnv(CopiedWhole, HighwayBase):
         `terminated`: the ego has arrived or collided; `truncated`: time is up (MAX_STEPS), as Gymnasium's TimeLimit has
         it. Both may be True in the last decision; `info["outcome"]` is how it ended.
         """
+        if not self._started:
+            raise gym.error.ResetNeeded("call reset() before step()")
         if self.done:
             raise RuntimeError("the episode is over: call reset() before step()")
         simulation = self.simulation
@@ -200,17 +228,71 @@ def _check_same_observation(built: Simulation, simulation: Simulation) -> None:
         )
 
 
+def checked_settings(config: Any) -> dict[str, Any]:
+    """highway-env's `config` as a new dict; None is an empty one."""
+    return {} if config is None else check_mapping("config", config, "settings")
+
+
+def _differ(name: str, one: Any, other: Any) -> bool:
+    """Whether two values of a setting are not the same."""
+    if name == "scenario":
+        return scenario_named(one) is not scenario_named(other)
+    return repr(one) != repr(other)
+
+
+def check_scenario_of_id(spec: EnvSpec | None, names: Iterable[str]) -> None:
+    """Refuse scenarios under the Gymnasium id of another one with a one-line ValueError."""
+    registered = None if spec is None else gym.registry.get(spec.id)
+    own = None if registered is None else registered.kwargs.get("scenario")
+    for name in names:
+        if own is not None and spec is not None and scenario_named(own).name != name:
+            raise ValueError(
+                f"{spec.id} is the scenario {scenario_named(own).name}, got scenario={name!r}: use CADScenario-v0"
+            )
+
+
 def check_render_mode(render_mode: str | None) -> None:
     """Refuse a mode that does not exist with a one-line ValueError."""
     if render_mode is not None and render_mode not in RENDER_MODES:
         raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
 
 
-def checked_hazard(hazard: Any) -> bool | None:
-    """The reset option that forces the kind of an episode, or None to draw it; ValueError for anything else."""
-    if hazard is not None and not isinstance(hazard, bool):
-        raise ValueError(f"hazard must be True, False or None, got {hazard!r}")
-    return hazard
+def checked_options(options: Any, allowed: list[str]) -> dict[str, Any]:
+    """The options of a reset, `hazard` among them checked; ValueError for what is no dict of those allowed."""
+    given = {} if options is None else check_mapping("options", options, f"reset options ({', '.join(allowed)})")
+    check_names("reset option", given, allowed)
+    given["hazard"] = checked_hazard(given.get("hazard"))
+    return given
+
+
+def checked_seed(seed: Any) -> int | None:
+    """The seed of a reset, any whole number from 0 on, or None to go on from the last."""
+    return None if seed is None else check_seed("seed", seed)
+
+
+def checked_display(given: Mapping[str, Any]) -> dict[str, Any]:
+    """highway-env's settings of the viewer, as far as they are given; ValueError for one that cannot be drawn with."""
+    checked = dict(given)
+    for name in _SIZES & given.keys():
+        checked[name] = check_whole(name, given[name], 1, 16384)
+    if "scaling" in given:
+        checked["scaling"] = check_range("scaling", given["scaling"], 0.01, 1000.0)
+    for name in _SWITCHES & given.keys():
+        checked[name] = check_switch(name, given[name])
+    if "centering_position" in given:
+        place = given["centering_position"]
+        if not isinstance(place, Sequence | np.ndarray) or isinstance(place, str) or len(place) != 2:
+            raise ValueError(f"centering_position must be a pair of shares of the picture, got {place!r}")
+        checked["centering_position"] = [check_range("centering_position", each, -10.0, 10.0) for each in place]
+    return checked
+
+
+def as_array(given: Any) -> NDArray[Any]:
+    """What was given for actions as an array; of object where lists of unequal lengths make none."""
+    try:
+        return np.asarray(given)
+    except ValueError:
+        return np.array(None, object)
 
 
 def checked_action(action: Any) -> int:
@@ -221,7 +303,7 @@ def checked_action(action: Any) -> int:
     """
     if type(action) is int and action in (GO, BRAKE):  # the usual case, which need not cost as much as the rest
         return action
-    value = np.asarray(action)
+    value = as_array(action)
     if value.ndim != 0 or value.dtype.kind not in "iuf" or not math.isfinite(value) or value not in (GO, BRAKE):
         raise ValueError(f"action must be {GO} (go) or {BRAKE} (brake), got {action!r}")
     return int(value)

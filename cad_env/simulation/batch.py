@@ -15,6 +15,7 @@ from cad_env.simulation.setup import Setup
 from cad_env.simulation.simulation import REFUSALS, Simulation
 from cad_env.types import COLLISION, SUCCESS, Bools, Ints, Observation
 
+_MOST_INT64 = np.iinfo(np.int64).max
 _OUTCOMES, _REFUSALS = np.array(OUTCOME_BY_CODE, object), np.array(REFUSALS, object)
 
 
@@ -51,6 +52,8 @@ class SceneBatch(CopiedWhole):
         simulation = self.simulations[place]
         simulation.start(seed, hazard, receivers=1)
         for name, value in simulation.episode_info().items():
+            if isinstance(value, int) and value > _MOST_INT64:  # a seed: of any size, so that object takes its place
+                self._episodes[name] = self._episodes.get(name, np.zeros(len(self), np.int64)).astype(object)
             if name not in self._episodes:
                 self._episodes[name] = np.zeros(len(self), type(value))
             self._episodes[name][place] = value

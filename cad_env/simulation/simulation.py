@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 
+from cad_env.checks import check_seed
 from cad_env.config import radio_config
 from cad_env.lidar.config import OwnCloud
 from cad_env.numerics.jit import announce_compilation
@@ -70,7 +71,11 @@ class Simulation(CopiedWhole):
         self._link = link
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
-        """Begin the episode of a seed. `receivers`: how many of the connected, in order, observe and decide."""
+        """Begin the episode of a seed, any whole number from 0 on. `hazard` True or False forces its kind.
+
+        `receivers`: how many of the connected, in order, observe and decide.
+        """
+        seed, hazard = check_seed("seed", seed), checked_hazard(hazard)
         announce_compilation("scene_step.play")
         self.seed = seed
         self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
@@ -283,6 +288,17 @@ class Simulation(CopiedWhole):
     def merged_graph(self, agent: int) -> Graph:
         """What receiver `agent` knows with what it was sent."""
         return as_graph(_at(self.fleet.merged, agent), agent, self.time)
+
+
+def checked_hazard(hazard: Any) -> bool | None:
+    """What forces the kind of an episode, or None to draw it; ValueError for anything else.
+
+    >>> checked_hazard(np.bool_(True))
+    True
+    """
+    if hazard is not None and not isinstance(hazard, bool | np.bool_):
+        raise ValueError(f"hazard must be True, False or None, got {hazard!r}")
+    return None if hazard is None else bool(hazard)
 
 
 def outcome_of(struck: bool, arrived: bool, over: bool) -> str | None:

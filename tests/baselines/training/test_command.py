@@ -68,7 +68,7 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
         (["--scenario", "left_turn", "left_turn"], "each once.*left_turn left_turn"),
         (["--radio", "dsrk"], "dsrk.*dsrc"),
         (["--radio", "none"], "radio must be one that carries something"),
-        (["--episodes", "0"], "episodes must be a number from 1"),
+        (["--episodes", "0"], "episodes must be a whole number from 1"),
         (["--steps", "many"], "steps"),
         (["--setps", "9"], "setps"),
         (["--method", "stgraf"], "stgraf.*stgraph-own"),

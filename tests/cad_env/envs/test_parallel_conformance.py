@@ -162,7 +162,7 @@ def test_pictures_show_the_scene():
         (lambda env: parallel_env(traffic="heavy"), ValueError, "traffic must be one of none, light, dense"),
         (lambda env: parallel_env(ranges={"ego": 1}), ValueError, "unknown left_turn range ego=1"),
         (lambda env: parallel_env(render_mode="ascii"), ValueError, "unknown render_mode 'ascii'"),
-        (lambda env: parallel_env(max_cycles=0), ValueError, "max_cycles must be a whole number of decisions from 1"),
+        (lambda env: parallel_env(max_cycles=0), ValueError, "max_cycles must be a whole number from 1 on"),
         (lambda env: parallel_env().step({}), RuntimeError, "no agent is left: call reset() before step()"),
     ],
 )  # fmt: skip

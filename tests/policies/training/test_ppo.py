@@ -119,7 +119,7 @@ def test_a_run_that_is_stopped_goes_on_as_if_it_had_not(tmp_path: Path):
 def test_nonsense_is_refused_in_one_line(tmp_path: Path):
     with pytest.raises(ValueError, match="discount must be a number from 0 to 1, got 2"):
         PpoConfig(discount=2)
-    with pytest.raises(ValueError, match="steps must be a number"):
+    with pytest.raises(ValueError, match="steps must be a whole number"):
         train_ppo(tmp_path, 0)
     with pytest.raises(ValueError, match="left_trun"):
         train_ppo(tmp_path, 100, scenarios=("left_trun",))

@@ -16,5 +16,5 @@ def replace_file(path: Path, data: bytes) -> None:
         os.chmod(name, 0o644)  # mkstemp lets nobody else read
         os.replace(name, path)
     except BaseException:
-        os.unlink(name)
+        Path(name).unlink(missing_ok=True)  # an interruption may come when it has just been renamed
         raise

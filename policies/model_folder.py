@@ -15,7 +15,7 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
-from cad_env.config import check_range
+from cad_env.checks import check_path, check_range, plain
 from cad_env.files import replace_file
 from cad_env.types import COMMANDS
 from policies.registry import spec_named
@@ -60,7 +60,7 @@ def save_model(folder: str | Path, model: SavedModel) -> None:
 
     Raises ModelError for weights that are not finite, a threshold outside [0, 1] or training notes that JSON refuses.
     """
-    folder = Path(folder)
+    folder = check_path("folder", folder)
     weights = {name: value.detach().float().contiguous() for name, value in model.network.state_dict().items()}
     _check_finite(folder / WEIGHTS, weights)
     data = safetensors.torch.save(weights)
@@ -68,7 +68,7 @@ def save_model(folder: str | Path, model: SavedModel) -> None:
         "format": FORMAT,
         "spec": model.spec.name,
         "network": asdict(_config_of(model.network)),
-        "threshold": model.threshold,
+        "threshold": plain(model.threshold),
         "sha256": hashlib.sha256(data).hexdigest(),
         "training": model.training,
     }
@@ -88,7 +88,7 @@ def _config_of(network: nn.Module) -> Any:
 
 def load_model(folder: str | Path) -> SavedModel:
     """Read a model folder; any damage, and a spec that is not registered, raises ModelError."""
-    folder = Path(folder)
+    folder = check_path("folder", folder)
     config = _read_config(folder / CONFIG)
     data = _read(folder / WEIGHTS)
     if hashlib.sha256(data).hexdigest() != config["sha256"]:

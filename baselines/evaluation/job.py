@@ -8,6 +8,7 @@ from typing import Any
 from baselines.evaluation.settings import Settings
 from baselines.methods import Method, method_named
 from baselines.references import is_reference, module_source
+from baselines.signals import import_whole
 from cad_env.config import RADIO_PRESETS
 from cad_env.types import Command, Policy
 
@@ -43,6 +44,7 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
     if method.model is None and not is_reference(name):
         return None
     if method.model is not None:
+        import_whole("policies.model_folder")
         folder = settings.models_folder() / method.model
         if not folder.is_dir():
             raise ValueError(

@@ -14,6 +14,7 @@ from typing import Any
 from baselines.evaluation.grid import Key, grid
 from baselines.folder_note import claim, difference, read_note
 from baselines.methods import folder_of
+from cad_env.checks import check_path, check_several, check_switch, settle
 from cad_env.files import replace_file
 from cad_env.scoring.scorecard import Record, Scorecard, parse_record, scorecards
 
@@ -106,6 +107,9 @@ class Merging:
     report: bool = True  # write report.html
 
     def __post_init__(self) -> None:
+        settle(self, "merge", check_several("merge", self.merge, check_path))
+        settle(self, "out", check_path("out", self.out))
+        settle(self, "report", check_switch("report", self.report))
         if not self.merge:
             raise ValueError("merge must name at least one folder")
 

@@ -148,6 +148,6 @@ def checked_layers(layers: Any) -> tuple[str, ...]:
     if isinstance(layers, str) or not isinstance(layers, tuple | list):
         raise ValueError(f"layers must be a tuple of names among {', '.join(LAYERS)}, got {layers!r}")
     for name in layers:
-        if name not in LAYERS:
+        if not isinstance(name, str) or name not in LAYERS:
             raise ValueError(f"unknown layer {name!r}: choose among {', '.join(LAYERS)}")
     return tuple(layers)

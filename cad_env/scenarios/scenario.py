@@ -12,7 +12,7 @@ from cad_env.config import check_names
 from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
-from cad_env.scenarios.scene import OCCLUDER, Actors, Placement, Scene, connected_rows, place
+from cad_env.scenarios.scene import OCCLUDER, Actors, Placement, Scene, connected_rows, place, rows_at_penetration
 from cad_env.types import COMMANDS, MAX_STEPS, MOST_COMMANDS, Command, Policy
 from cad_env.world.state import Routes
 from cad_env.world.unbraked import who_is_met
@@ -101,7 +101,11 @@ class Scenario:
         actors, further = drawn.actors, generator(seed, "background")
         count = int(further.integers(*DENSITIES[traffic.density], endpoint=True))
         placements = (*actors.vehicles, *_taken(self.background(self.map, actors, further), count, further))
-        connected = connected_rows(placements, actors, ranges.collaborators, traffic, generator(seed, "connection"))
+        if traffic.penetration is None:
+            connected = connected_rows(placements, actors, ranges.collaborators, generator(seed, "connection"))
+        else:
+            chance = generator(seed, "penetration")
+            connected = rows_at_penetration(len(placements), actors, traffic.penetration, chance)
         return Scene(
             placements=placements,
             connected=connected,

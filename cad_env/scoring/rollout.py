@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from cad_env.checks import check_seed
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.simulation.batch import SceneBatch
@@ -81,7 +82,8 @@ def rollout(
     hazard: bool | None = None,
     watch: Watch | None = None,
 ) -> Episode:
-    """Drive one episode to its end."""
+    """Drive one episode to its end. seed: any whole number from 0 on."""
+    seed = check_seed("seed", seed)
     policy.reset(seed)
     observation, info = env.reset(seed=seed, options={"hazard": hazard})
     log = _Log(1)
@@ -117,7 +119,7 @@ def rollouts(
 
     def begun() -> Iterator[int]:
         for seed in seeds:
-            policy.reset(seed)
+            policy.reset(check_seed("seed", seed))
             yield seed
 
     def act(which: Ints, _: Ints) -> Ints:

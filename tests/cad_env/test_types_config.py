@@ -10,7 +10,16 @@ from scenes import boxes
 from stages import detect, nodes_and_edges
 
 import cad_env
-from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_names, check_range, radio_config
+from cad_env.config import (
+    RADIO_PRESETS,
+    RadioConfig,
+    SensorConfig,
+    UnknownNameError,
+    check_keywords,
+    check_names,
+    check_range,
+    radio_config,
+)
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays, row_of, slide
 from cad_env.simulation.setup import Setup, setup_from
@@ -85,6 +94,14 @@ def test_names_are_checked_with_value_and_choices():
     check_names("thing", {"a": 1}, ["a", "b"])
     with pytest.raises(ValueError, match=re.escape("unknown thing c=[1]: choose among a, b")):
         check_names("thing", {"a": 1, "c": [1]}, ["b", "a"])
+
+
+@pytest.mark.parametrize("kind", [ValueError, TypeError, UnknownNameError])
+def test_an_unknown_keyword_is_what_python_and_what_our_users_expect(kind: type[Exception]):
+    check_keywords({"a": 1}, ["a", "b"])
+    said = "unknown option c=[1]: choose among a, b (__init__() got an unexpected keyword argument 'c')"
+    with pytest.raises(kind, match=f"^{re.escape(said)}$"):
+        check_keywords({"a": 1, "c": [1]}, ["b", "a"])
 
 
 def test_whole_numbers_are_numbers():

@@ -8,15 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from baselines.cli import Progress, parsed, refused, stopped
+from baselines.controls.names import BEST_BLIND
 from baselines.evaluation.command import scored
-from baselines.evaluation.settings import ALL_SCENARIOS, Settings
+from baselines.evaluation.settings import ALL_SCENARIOS, Settings, usual
 from baselines.methods import folder_of, learned_named, radio_of
 from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
 from cad_env.config import check_range, radio_config
 from policies.training.config import TrainingConfig
 
 MAIN_METHODS = ("stgraph", "stgraph-own")
-REFERENCE_METHODS = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # scored beside them
+# Scored beside them; best-blind as far as it was chosen.
+REFERENCE_METHODS = ("always-go", "always-brake", BEST_BLIND, "planner-own", "planner-shared", "expert")
 _ASKED = ("radio", "episodes", "dagger_rounds", "dagger_episodes", "mixing", "steps", "validation")
 
 
@@ -99,7 +101,7 @@ class TrainSettings:
             scores = self.folder() / f"scores_{self.score}{asked}_{version()}"
             found.append(
                 Settings(
-                    scenario=self.scenarios(), method=(*REFERENCE_METHODS, *methods),
+                    scenario=self.scenarios(), method=(*usual(REFERENCE_METHODS, self.scenarios()), *methods),
                     models=tuple(map(self.models, self.seed)),
                     episodes=max(self.score, 1), jobs=self.jobs, out=scores, radio=radio,
                 )

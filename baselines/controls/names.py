@@ -84,7 +84,7 @@ def best_control(scenario: str) -> str:
     chosen = read_choice()
     if scenario not in chosen:
         raise ValueError(
-            f"no {BEST_BLIND} is chosen for scenario {scenario!r}: {CHOOSE} --scenario {scenario} does, or leave it out"
+            f"no {BEST_BLIND} is chosen for scenario {scenario!r}: choose one with {CHOOSE} --scenario, or leave it out"
         )
     name: str = chosen[scenario]["chosen"]
     parsed_control(name)

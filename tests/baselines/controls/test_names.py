@@ -72,7 +72,7 @@ def test_a_control_was_chosen_for_each_scenario_that_ships() -> None:
 
 
 def test_a_scenario_without_a_choice_is_told_how_to_make_one() -> None:
-    with pytest.raises(ValueError, match=r"'moon': python -m baselines.evaluation.best_blind --scenario moon does"):
+    with pytest.raises(ValueError, match=r"scenario 'moon': choose one with python -m .*\.best_blind --scenario, or"):
         best_control("moon")
 
 

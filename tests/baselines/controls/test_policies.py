@@ -10,6 +10,7 @@ from baselines.controls.policies import BEFORE, Blind, Control, Own, Slow, Stop,
 from baselines.methods import Always
 from cad_env.envs.single import CADEnv
 from cad_env.scenarios import SHIPPED, scenario_named
+from cad_env.scenarios.junction import ARM
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scoring.rollout import Episode, rollout
 from cad_env.types import BRAKE, GO, STEP
@@ -132,8 +133,13 @@ def test_before_the_conflict_the_ego_is_in_nobodys_way_and_soon_after_it_is(scen
     assert touched(conflict + 5.0)
 
 
-def test_the_conflict_is_of_the_map_and_not_of_an_episode() -> None:
-    assert [conflict_of(name) for name in SHIPPED] == [248.5, 280.5, 241.5]
+def test_the_conflict_is_where_the_fronts_meet_or_the_oncoming_lane_begins() -> None:
+    routes = scenario_named("overtaking").map.routes
+    begins = np.flatnonzero(routes.oncoming[0])[0] * routes.spacing
+    # At a junction the hidden lane's middle is 5.25 m from the centre, a car half as wide as 2 m and half as long as 4.8.
+    assert conflict_of("street_crossing") == pytest.approx(ARM - 5.25 - 1.0 - 2.4, abs=0.5)
+    assert conflict_of("left_turn") == pytest.approx(ARM - 1.5, abs=0.5)  # the same on an arc
+    assert conflict_of("overtaking") == begins
 
 
 def test_routes_that_never_meet_have_no_stop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ CHOOSE = f"python -m {__name__.removesuffix('.controls.names')}.evaluation.best_
 
 
 @dataclass(frozen=True)
-class Kind:
+class ControlKind:
     """A kind of control: what the number in its name is, from where to where it may go, and the grid to choose from."""
 
     name: str
@@ -25,15 +25,17 @@ class Kind:
 
 
 _WAITS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0)
-KINDS = (
-    Kind("blind", "blind-D", "a number of seconds", 0.0, 60.0, _WAITS),  # brakes for the first D s, then goes
-    Kind("stop", "stop-D", "a number of seconds", 0.0, 60.0, _WAITS),  # stops before the conflict, waits D s, then goes
-    Kind("slow", "slow-V", "a speed in m/s", 1.0, 50.0, (4.0, 5.0, 6.0, 7.0, 8.0)),  # is never faster than V
+CONTROL_KINDS = (
+    ControlKind("blind", "blind-D", "a number of seconds", 0.0, 60.0, _WAITS),  # brakes for the first D s, then goes
+    ControlKind(
+        "stop", "stop-D", "a number of seconds", 0.0, 60.0, _WAITS
+    ),  # stops before the conflict, waits D s, then goes
+    ControlKind("slow", "slow-V", "a speed in m/s", 1.0, 50.0, (4.0, 5.0, 6.0, 7.0, 8.0)),  # is never faster than V
 )
-FORMS = tuple(kind.form for kind in KINDS)
+FORMS = tuple(kind.form for kind in CONTROL_KINDS)
 EVERY_CONTROL = "controls"  # the word for all of the grid
-GRID = tuple(f"{kind.name}-{number:g}" for kind in KINDS for number in kind.grid)
-_KIND = {kind.name: kind for kind in KINDS}
+GRID = tuple(f"{kind.name}-{number:g}" for kind in CONTROL_KINDS for number in kind.grid)
+_KIND = {kind.name: kind for kind in CONTROL_KINDS}
 _NAME = re.compile(rf"({'|'.join(_KIND)})-(.*)", re.DOTALL)
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 
-from baselines.controls.names import BEST_BLIND, KINDS, is_control, parsed_control
+from baselines.controls.names import BEST_BLIND, CONTROL_KINDS, is_control, parsed_control
 from baselines.methods import KNOWLEDGE, KNOWS_NOTHING, KNOWS_SEEN, KNOWS_SENT, KNOWS_TRUTH, METHODS
 from baselines.plot_style import BLUE, GREEN, GREY, VERMILION
 from cad_env.scoring.scorecard import Record, Scorecard
@@ -22,7 +22,7 @@ SHAPES = {
     "always-go": ">", "always-brake": "X", BEST_BLIND: "P", "planner-own": "s", "planner-shared": "s", "expert": "D",
 }  # fmt: skip
 _SHAPE_OF_KIND = {"blind": "<", "stop": "v", "slow": "^"}
-_FORM_OF_KIND = {kind.name: kind.form for kind in KINDS}
+_FORM_OF_KIND = {kind.name: kind.form for kind in CONTROL_KINDS}
 _WIDTHS = {1: 6.0, 2: 4.6}  # inches of a panel, by the number of panels beside each other
 _WIDTH = 3.6  # of one in more
 

@@ -136,7 +136,7 @@ def test_before_the_conflict_the_ego_is_in_nobodys_way_and_soon_after_it_is(scen
 def test_the_conflict_is_where_the_fronts_meet_or_the_oncoming_lane_begins() -> None:
     routes = scenario_named("overtaking").map.routes
     begins = np.flatnonzero(routes.oncoming[0])[0] * routes.spacing
-    # At a junction the hidden lane's middle is 5.25 m from the centre, a car half as wide as 2 m and half as long as 4.8.
+    # At a junction the middle of the hidden lane is 5.25 m from the centre; a car is 2 m wide and 4.8 m long.
     assert conflict_of("street_crossing") == pytest.approx(ARM - 5.25 - 1.0 - 2.4, abs=0.5)
     assert conflict_of("left_turn") == pytest.approx(ARM - 1.5, abs=0.5)  # the same on an arc
     assert conflict_of("overtaking") == begins

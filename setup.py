@@ -15,7 +15,7 @@ from setuptools.command.build_py import build_py
 
 HOME = "cad_learning"
 MOVED = ("policies", "baselines")
-DATA = ["py.typed", "weights/**/*.safetensors", "weights/**/*.json"]
+DATA = ["py.typed", "weights/**/*.safetensors", "weights/**/*.json", "controls/*.json"]
 EDITABLE = {"editable_wheel", "develop"}  # the commands of setuptools that leave packages where they are
 _MODULE = re.compile(rf"({'|'.join(MOVED)})(\.[A-Za-z_]\w*)+")
 _PART = re.compile(rf"({'|'.join(MOVED)})\.\S*")

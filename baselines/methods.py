@@ -1,6 +1,7 @@
 """The lines of the results table: what each method knows, who decides, and how it is learned.
 
-Names in brackets are the paper's. A method from outside is named `module:attribute` or
+Names in brackets are the paper's. Controls that pass with closed eyes are named with their number
+(`baselines.controls`). A method from outside is named `module:attribute` or
 `module:factory(argument=value)`: a policy, or a network spec that is trained first (`baselines.references`).
 """
 
@@ -13,6 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from baselines.controls.names import BEST_BLIND, FORMS, best_control, is_control, parsed_control
 from baselines.references import is_reference, resolved
 from cad_env.types import BRAKE, FRAMES, GO, Policy
 
@@ -146,6 +148,24 @@ def _expert(scenario: str) -> Policy:
     return expert
 
 
+def _control(name: str) -> Method:
+    """The control of this name; ValueError, one line, for a wrong number."""
+    parsed_control(name)
+
+    def make(scenario: str) -> Policy:
+        from baselines.controls.policies import control
+
+        return control(name, scenario)
+
+    return Method(name, KNOWS_NOTHING, make)
+
+
+def _best_blind(scenario: str) -> Policy:
+    from baselines.controls.policies import control
+
+    return control(best_control(scenario), scenario)
+
+
 def _of(learned: LearnedMethod) -> Method:
     knows = KNOWS_NOTHING if learned.blind else KNOWS_SEEN if learned.shares == "nothing" else KNOWS_SENT
     return Method(learned.name, knows, learned=learned)
@@ -157,6 +177,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         for method in (
             Method("always-go", KNOWS_NOTHING, lambda _: Always(GO)),
             Method("always-brake", KNOWS_NOTHING, lambda _: Always(BRAKE)),
+            Method(BEST_BLIND, KNOWS_NOTHING, _best_blind),  # of all controls, chosen on training seeds
             Method("planner-own", KNOWS_SEEN, _planner),
             Method("planner-shared", KNOWS_SENT, _planner),
             Method("expert", KNOWS_TRUTH, _expert),
@@ -166,17 +187,22 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         )
     }
 )
-SHIPPED_METHODS = ("always-go", "always-brake", "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own")
+SHIPPED_METHODS = (
+    "always-go", "always-brake", BEST_BLIND, "planner-own", "planner-shared", "expert", "stgraph", "stgraph-own",
+)  # fmt: skip
 
 
 def method_named(name: str) -> Method:
     """The method called `name`, or one from outside; ValueError that lists the choices, the nearest one first."""
     if is_reference(name):
         return _outside(name)
+    if is_control(name):
+        return _control(name)
     if name not in METHODS:
         near = difflib.get_close_matches(name, METHODS, 1)
         hint = f" (did you mean {near[0]}?)" if near else ""
-        raise ValueError(f"unknown method {name!r}{hint}: choose among {', '.join(METHODS)} or give module:policy")
+        choices = ", ".join((*METHODS, *FORMS))
+        raise ValueError(f"unknown method {name!r}{hint}: choose among {choices} or give module:policy")
     return METHODS[name]
 
 

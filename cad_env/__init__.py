@@ -36,12 +36,13 @@ if TYPE_CHECKING:
     from cad_env.scoring.rollout import Episode, rollout, rollouts
     from cad_env.scoring.scorecard import Scorecard, scorecards
     from cad_env.scoring.table import table
+    from cad_env.scoring.time_lost import TimeLost, time_lost
     from cad_env.simulation.graph_exchange import GraphCodec
 
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
     "Episode", "Graph", "GraphCodec", "Planner", "Policy", "RadioConfig", "Scenario", "Scorecard", "SensorConfig",
-    "StepOutcome", "parallel_env", "register", "rollout", "rollouts", "scorecards", "table",
+    "StepOutcome", "TimeLost", "parallel_env", "register", "rollout", "rollouts", "scorecards", "table", "time_lost",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -58,11 +59,13 @@ _LAZY = {
     "Scenario": "cad_env.scenarios.scenario",
     "Scorecard": "cad_env.scoring.scorecard",
     "StepOutcome": "cad_env.envs.rewards",
+    "TimeLost": "cad_env.scoring.time_lost",
     "register": "cad_env.scenarios",
     "rollout": "cad_env.scoring.rollout",
     "rollouts": "cad_env.scoring.rollout",
     "scorecards": "cad_env.scoring.scorecard",
     "table": "cad_env.scoring.table",
+    "time_lost": "cad_env.scoring.time_lost",
 }
 
 

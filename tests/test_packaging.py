@@ -107,6 +107,13 @@ def test_what_cannot_be_adapted_fails_the_build(source: str) -> None:
         rewritten(source)
 
 
+@pytest.mark.parametrize("package", ["cad_env", "policies", "baselines"])
+def test_every_data_file_comes_with_its_package(package: str) -> None:
+    folder = ROOT / package
+    there = {path for path in folder.rglob("*.*") if path.is_file() and path.suffix not in (".py", ".pyc")}
+    assert there == {path for pattern in SETUP.DATA for path in folder.glob(pattern)}
+
+
 def test_all_modules_can_be_adapted() -> None:
     for package in ("policies", "baselines"):
         for path in (ROOT / package).rglob("*.py"):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from baselines.cli import parsed, refused, stopped
-from baselines.evaluation.settings import Settings
+from baselines.evaluation.settings import Settings, comparable
 from baselines.signals import sigterm_as_ctrl_c
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if any(word.split("=")[0] == "--merge" for word in words):
             return _put_together(words)
-        settings = parsed(Settings, words)
+        settings = comparable(parsed(Settings, words))
     except (ValueError, OSError) as error:
         return refused(error)
     except KeyboardInterrupt as error:

@@ -2,15 +2,19 @@
 
 import hashlib
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
+from pathlib import Path
 from typing import Any
 
+from baselines.controls import names
+from baselines.controls.names import BEST_BLIND, best_control, is_control
 from baselines.evaluation.settings import Settings
 from baselines.methods import Method, method_named
 from baselines.references import is_reference, module_source
 from baselines.signals import import_whole
 from cad_env.config import RADIO_PRESETS
 from cad_env.types import Command, Policy
+from cad_env.version import code_digest
 
 MODEL_FILES = ("model.safetensors", "config.json")
 CACHED = 16  # jobs that a process keeps
@@ -38,9 +42,13 @@ def job_of(settings: Settings, scenario: str, name: str) -> Job:
 def digest_of_method(settings: Settings, name: str) -> str | None:
     """What a method's decisions depend on beside the settings: its model, and its source if it is from outside.
 
-    None for rules that ship: `version()` covers them.
+    Of a control it is its code, and of the best one what was chosen. None for other rules that ship: `version()` covers
+    them.
     """
     method, known = method_named(name), hashlib.sha256()
+    if name == BEST_BLIND or is_control(name):
+        chosen = [best_control(scenario) for scenario in settings.scenarios()] if name == BEST_BLIND else []
+        return hashlib.sha256(" ".join([code_of_controls(), *chosen]).encode()).hexdigest()[:16]
     if method.model is None and not is_reference(name):
         return None
     if method.model is not None:
@@ -56,6 +64,12 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
     if is_reference(name):
         known.update(module_source(name))
     return known.hexdigest()[:16]
+
+
+@cache
+def code_of_controls() -> str:
+    """Digest of the code of the controls."""
+    return code_digest([Path(names.__file__).parent])
 
 
 def _code_of_network(method: Method) -> str:

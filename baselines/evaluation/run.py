@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from baselines.cli import Progress
+from baselines.controls.names import BEST_BLIND, best_control, is_control
 from baselines.evaluation.grid import Task
 from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
@@ -78,13 +79,25 @@ def identity(settings: Settings) -> dict[str, Any]:
         "method": list(settings.method),
         **{name: getattr(settings, name) for name in names},
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
-        **{f"model of {name}": digest for name, digest in digests.items() if digest is not None},
+        **{f"{_what_decides(name)} of {name}": digest for name, digest in digests.items() if digest is not None},
+        **_choice(settings),
         **{f"knowledge of {name}": method_named(name).knows for name in settings.method if is_reference(name)},
         **{what: digest for name in settings.scenarios() for what, digest in outside_sources(name).items()},
         "version of cad_env": version(),
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
     }
+
+
+def _what_decides(name: str) -> str:
+    return "code" if name == BEST_BLIND or is_control(name) else "model"
+
+
+def _choice(settings: Settings) -> dict[str, Any]:
+    """Which controls best-blind is, by scenario."""
+    if BEST_BLIND not in settings.method:
+        return {}
+    return {f"choice of {BEST_BLIND}": {name: best_control(name) for name in settings.scenarios()}}
 
 
 def digest_of(settings: Settings) -> str:

@@ -2,15 +2,18 @@
 
 import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from baselines.controls.names import BEST_BLIND, EVERY_CONTROL, GRID, has_best_control
 from baselines.evaluation.grid import Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
 from baselines.methods import SHIPPED_METHODS, shipped_models
 from cad_env.checks import check_numbers, check_path, check_seed, check_several, check_switch, check_text, plain, settle
 from cad_env.config import RadioConfig, SensorConfig, radio_config
+from cad_env.scoring.time_lost import EXPERT
 from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
@@ -25,15 +28,18 @@ HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that chan
 
 @dataclass(frozen=True)
 class Settings:
-    """Score methods in closed loop, all on the same seeds of every scenario.
+    """Score methods in closed loop, all on the same seeds of every scenario, and the expert beside them.
 
+    Methods with closed eyes: always-go, always-brake; blind-D brakes for the first D seconds, stop-D stops 1 m before
+    the conflict and waits D seconds, slow-V never drives over V m/s; best-blind is the best of these in each scenario,
+    chosen on training seeds; `controls` is all that it is chosen from. Time lost: against the expert on the same seed.
     Writes episodes.jsonl (one line an episode), scores.json (rates with 95 % Wilson intervals) and report.html (tables
     and plots), and prints the table. If it is stopped, run the same command again to resume.
     `--merge FOLDER FOLDER ... --out FOLDER`, without the options below, merges the finished shards of one run.
     """
 
     scenario: tuple[str, ...] = ALL_SCENARIOS  # names of scenarios, in the order of the table, or all
-    method: tuple[str, ...] = SHIPPED_METHODS  # names, or module:Policy of your own, in the order of the table
+    method: tuple[str, ...] = SHIPPED_METHODS  # names (blind-0.5, slow-7, ...), or module:Policy of your own, in order
     models: tuple[Path, ...] = ()  # folder of trained models, or one for each training seed; default: the package's
     episodes: int = 500  # per scenario and method
     first_seed: int = 1_000_000  # training never uses seeds from a million on
@@ -61,6 +67,7 @@ class Settings:
     def __post_init__(self) -> None:
         for field in fields(self):  # what numpy says is written to JSON too
             settle(self, field.name, plain(getattr(self, field.name)))
+        settle(self, "method", with_every_control(check_several("method", self.method, check_text)))
         for what in ("scenario", "method"):
             settle(self, what, check_several(what, getattr(self, what), check_text))
             names = getattr(self, what)
@@ -139,3 +146,21 @@ class Settings:
                 values = value if isinstance(value, tuple) else (value,)
                 words += ["--" + field.name.replace("_", "-"), *map(str, values)]
         return shlex.join(words)
+
+
+def with_every_control(methods: Sequence[str]) -> tuple[str, ...]:
+    """The methods with all controls of the grid in the place of the word for them."""
+    return tuple(each for name in methods for each in (GRID if name == EVERY_CONTROL else (name,)))
+
+
+def comparable(settings: Settings) -> Settings:
+    """The same run with the expert, whom time lost is against, and of the usual methods those that can drive in it."""
+    methods = settings.method
+    if methods == SHIPPED_METHODS:
+        methods = usual(methods, settings.scenarios())
+    return replace(settings, method=methods if EXPERT in methods else (*methods, EXPERT))
+
+
+def usual(methods: Sequence[str], scenarios: Sequence[str]) -> tuple[str, ...]:
+    """The methods without best-blind where it was not chosen, as for a scenario from outside."""
+    return tuple(name for name in methods if name != BEST_BLIND or has_best_control(scenarios))

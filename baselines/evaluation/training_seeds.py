@@ -1,4 +1,7 @@
-"""Methods trained from several seeds: a run for each, and one table of the means and ranges."""
+"""Methods trained from several seeds: a run for each, and one table of the means and ranges.
+
+The expert is in every run, because time lost is against it; its row is that of the first.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -7,6 +10,7 @@ from baselines.evaluation.settings import Settings
 from baselines.methods import method_named
 from cad_env.scoring.scorecard import Scorecard
 from cad_env.scoring.table import text_table
+from cad_env.scoring.time_lost import EXPERT
 
 _RULES = "rules"  # the folder of the methods that are not trained, which are scored once
 
@@ -21,16 +25,22 @@ class Spread:
     episodes: int  # of each seed
     collision: tuple[float, float, float]  # mean, least, most
     success: tuple[float, float, float]
-    time: tuple[float, float, float]  # s until the outcome
+    time_lost: tuple[float, float, float] | None  # s after the expert; None where one of the seeds has none
 
 
 def runs_of(settings: Settings) -> dict[str, Settings]:
-    """The runs to make, by the name of their folder: one of the methods that are not trained, one for each seed."""
+    """The runs to make, by the name of their folder: one of the methods that are not trained, one for each seed.
+
+    If the expert is asked for, it is in each of them.
+    """
     learned = tuple(name for name in settings.method if method_named(name).model)
     others = tuple(name for name in settings.method if name not in learned)
     runs = {_RULES: replace(settings, method=others, models=(), out=settings.out / _RULES)} if others else {}
+    beside = (EXPERT,) if EXPERT in others else ()
     for folder in settings.models if learned else ():
-        runs[folder.name] = replace(settings, method=learned, models=(folder,), out=settings.out / folder.name)
+        runs[folder.name] = replace(
+            settings, method=(*learned, *beside), models=(folder,), out=settings.out / folder.name
+        )
     return runs
 
 
@@ -39,7 +49,8 @@ def spreads(runs: Iterable[Sequence[Scorecard]]) -> list[Spread]:
     found: dict[tuple[str, str], list[Scorecard]] = {}
     for rows in runs:
         for row in rows:
-            if row.hazard == "all":
+            again = row.method == EXPERT and (row.scenario, row.method) in found
+            if row.hazard == "all" and not again:
                 found.setdefault((row.scenario, row.method), []).append(row)
     scenes = list(dict.fromkeys(scenario for scenario, _ in found))
     return [
@@ -50,7 +61,7 @@ def spreads(runs: Iterable[Sequence[Scorecard]]) -> list[Spread]:
             episodes=rows[0].episodes,
             collision=_spread([row.collision_rate for row in rows]),
             success=_spread([row.success_rate for row in rows]),
-            time=_spread([row.mean_time for row in rows]),
+            time_lost=_spread_if_known([row.time_lost for row in rows]),
         )
         for scene in scenes
         for (scenario, method), rows in found.items()
@@ -62,14 +73,19 @@ def _spread(values: Sequence[float]) -> tuple[float, float, float]:
     return sum(values) / len(values), min(values), max(values)
 
 
-SPREAD_TITLES = ("scenario", "method", "seeds", "episodes", "collision %", "success %", "time s")
+def _spread_if_known(values: Sequence[float | None]) -> tuple[float, float, float] | None:
+    known = [value for value in values if value is not None]
+    return _spread(known) if len(known) == len(values) else None
+
+
+SPREAD_TITLES = ("scenario", "method", "seeds", "episodes", "collision %", "time lost s", "success %")
 
 
 def spread_table(rows: Sequence[Spread]) -> str:
     """The rows as text; in brackets the least and the most of the training seeds."""
     cells = [
         (row.scenario, row.method, str(row.seeds), str(row.episodes),
-         _cell(row.collision, 100), _cell(row.success, 100), _cell(row.time, 1))
+         _cell(row.collision, 100), "-" if row.time_lost is None else _cell(row.time_lost, 1), _cell(row.success, 100))
         for row in rows
     ]  # fmt: skip
     return text_table(SPREAD_TITLES, cells, names=2)

@@ -1,7 +1,8 @@
 """Closed-loop records -> the numbers of a row, and how it stands against `stgraph` on the same episodes.
 
 With several training seeds a rate is their mean; its Wilson interval is that of the episodes of *one* of them, because
-all drive the same episodes: more training seeds make it no narrower.
+all drive the same episodes: more training seeds make it no narrower. Those of the time lost are clustered by episode
+(`cad_env.scoring.time_lost`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +14,7 @@ from baselines.paper.folder import Drives
 from baselines.paper.statistics import Mcnemar, difference_estimate, holm, mcnemar_of_seeds, mean_estimate  # fmt: skip
 from cad_env.scoring.interval import Estimate, wilson_estimate
 from cad_env.scoring.scorecard import Record
+from cad_env.scoring.time_lost import time_lost
 from cad_env.types import STEP, Bools, Floats
 
 OURS = "stgraph"
@@ -37,7 +39,8 @@ class ClosedRow:
     success_spread: _Range | None
     sct: Estimate | None  # success weighted by the expert's time; None without the expert's episodes
     mean_time: Estimate  # s until the outcome, all episodes
-    calm_time: Estimate | None  # s, where there is no hazard
+    time_lost: Estimate | None  # s after the expert on the same seed; None without the expert's episodes
+    time_lost_p90: Estimate | None  # s, 90th percentile
     needless: Estimate | None  # share of the episodes without a hazard in which it brakes at all
     needless_decisions: float | None  # decisions to brake in an episode without a hazard, on average
     hard_brakes: Estimate  # share of all episodes
@@ -61,6 +64,7 @@ def closed_row(
     records = [record for run in runs for record in run]
     sent = sum(record.messages_sent for record in records)
     total, time = sum(record.bytes_total for record in records), sum(record.time for record in records)
+    lost = time_lost(records, expert.values())
     success, collision = (_outcomes(runs, outcome) for outcome in ("success", "collision"))
     return ClosedRow(
         radio=radio,
@@ -75,7 +79,8 @@ def closed_row(
         success_spread=_spread(success),
         sct=_sct(runs, expert),
         mean_time=_mean([[record.time for record in run] for run in runs]),
-        calm_time=_mean([[record.time for record in run] for run in calm]) if calm[0] else None,
+        time_lost=None if lost is None else lost.mean,
+        time_lost_p90=None if lost is None else lost.high,
         needless=_rate(np.array([[record.brakes > 0 for record in run] for run in calm])) if calm[0] else None,
         needless_decisions=float(np.mean([[record.brakes for record in run] for run in calm])) if calm[0] else None,
         hard_brakes=_rate(np.array([[record.hardest_brake >= HARD_BRAKE for record in run] for run in runs])),

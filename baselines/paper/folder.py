@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from baselines.controls.names import BEST_BLIND
 from baselines.evaluation.store import EPISODES, SETTINGS, read_records, read_settings
 from baselines.paper.open_loop import OpenLoop, read_open_loop
 from baselines.paper.sweeps import SWEEPS
@@ -20,8 +21,8 @@ from cad_env.scoring.scorecard import Record
 
 NOTES, COSTS = "notes.md", "costs.json"
 TABLE_ORDER = (
-    "always-go", "always-brake", "command-only", "planner-own", "cautious-own", "planner-shared", "expert", "ppo",
-    "gat", "collab-gat", "stgraph-own", "raw-points", "compressed", "stgraph-no-edges", "stgraph-bc", "stgraph",
+    "always-go", "always-brake", BEST_BLIND, "command-only", "planner-own", "cautious-own", "planner-shared", "expert",
+    "ppo", "gat", "collab-gat", "stgraph-own", "raw-points", "compressed", "stgraph-no-edges", "stgraph-bc", "stgraph",
     "stgraph-velocity",
 )  # fmt: skip
 

@@ -79,7 +79,9 @@ class OpenLoop:
 def measure(method: Method, settings: Settings, scenario: str, seeds: Sequence[int]) -> OpenLoop:
     """Ask a method in the expert's episodes of these seeds. ValueError for models that are not there."""
     job = job_of(settings, scenario, method.name)
-    envs = CADVectorEnv(min(_ABREAST, len(seeds)), **job.options)
+    # Who has a memory and must be asked at once is asked in one episode after the other.
+    alone = job.policy.privileged and not isinstance(job.policy, BatchPolicy)
+    envs = CADVectorEnv(1 if alone else min(_ABREAST, len(seeds)), **job.options)
     found: list[OpenEpisode] = []
     for start in range(0, len(seeds), _ABREAST):  # so many episodes of observations are held at a time
         found += _asked(job.policy, envs, seeds[start : start + _ABREAST], HAZARDS[settings.hazard])
@@ -92,8 +94,11 @@ def _asked(policy: Policy, envs: CADVectorEnv, seeds: Sequence[int], hazard: boo
     told: dict[int, list[int]] = {seed: [] for seed in seeds}  # at once: the truth does not stay as it is
 
     def watch(simulation: Simulation, observation: Observation, action: int) -> None:
+        first = not labels[simulation.seed]
         labels[simulation.seed].append(action)
         if policy.privileged:
+            if first:
+                policy.reset(simulation.seed)
             told[simulation.seed].append(policy.act(simulation.truth()))
         else:
             seen[simulation.seed].append(observation)

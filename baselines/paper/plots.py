@@ -21,7 +21,8 @@ _COLOURS = {
     "truth": ORANGE,
 }  # fmt: skip
 LOOKS = {  # row -> (what it shares, its shape)
-    "always-go": ("constant", ">"), "always-brake": ("constant", "X"), "command-only": ("constant", "o"),
+    "always-go": ("constant", ">"), "always-brake": ("constant", "X"), "best-blind": ("constant", "v"),
+    "command-only": ("constant", "o"),
     "planner-own": ("own", "s"), "cautious-own": ("own", "D"), "planner-shared": ("rules", "s"),
     "expert": ("truth", "*"), "ppo": ("graph", "P"), "gat": ("own", "v"), "collab-gat": ("graph", "v"),
     "stgraph-own": ("own", "o"), "raw-points": ("points", "^"), "compressed": ("features", "^"),

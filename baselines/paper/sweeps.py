@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from baselines.evaluation.settings import Settings
+
 COMPARED = ("stgraph", "collab-gat", "compressed")  # whose robustness is shown
 GRAPH = ("stgraph",)
 SWEPT_EPISODES = 200  # of each scene and method at a point, at least, in a full run
@@ -28,6 +30,11 @@ class SweepPoint:
     def folder(self) -> str:
         """Below the folder of the run."""
         return f"sweeps/{self.name}/{self.value}"
+
+    @property
+    def same_world(self) -> bool:
+        """Whether the same vehicles drive as without the sweep, so that the expert's times are of the same episodes."""
+        return bool(self.overrides.get("traffic", Settings.traffic) == Settings.traffic)
 
 
 @dataclass(frozen=True)

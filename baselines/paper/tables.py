@@ -142,13 +142,15 @@ def threshold_table(scores: Mapping[str, OpenScore]) -> str:
 def outcome_table(rows: Sequence[ClosedRow]) -> str:
     """How episodes end, and how that compares with `stgraph`."""
     head = (
-        "row", "training seeds", "episodes", "collision %", "success %", "timeout %", "collision %, training seeds",
+        "row", "training seeds", "episodes", "collision %", "time lost, s", "time lost, s (90th percentile)",
+        "success %", "timeout %", "collision %, training seeds",
         "success %, training seeds", f"{OURS} better by (points)", f"only {OURS} / only it succeeds",
         "McNemar p (Holm)",
     )  # fmt: skip
     cells = [
         [
             _bold(row.method), str(row.training_seeds), str(row.episodes), percent_cell(row.collision),
+            time_cell(row.time_lost), time_cell(row.time_lost_p90),
             percent_cell(row.success), percent_cell(row.timeout), _spread(row.collision_spread, 100, 1),
             _spread(row.success_spread, 100, 1), percent_cell(row.advantage),
             NONE if row.test is None else f"{row.test.first_only} / {row.test.second_only}", small(row.adjusted_p),
@@ -161,13 +163,13 @@ def outcome_table(rows: Sequence[ClosedRow]) -> str:
 def manner_table(rows: Sequence[ClosedRow]) -> str:
     """How it drives meanwhile, and what it puts on the air."""
     head = (
-        "row", "SCT", "time, s", "time without a hazard, s", "needless brakes, % of episodes without a hazard",
+        "row", "SCT", "time, s", "needless brakes, % of episodes without a hazard",
         "decisions to brake in such an episode", f"hard brakes (>= {HARD_BRAKE:g} m/s2), % of episodes",
         "min TTC, s (5th percentile)", "bytes/message", "largest", "kB/s on the air", "lost %",
     )  # fmt: skip
     cells = [
         [
-            _bold(row.method), share_cell(row.sct), _time(row.mean_time), _time(row.calm_time),
+            _bold(row.method), share_cell(row.sct), time_cell(row.mean_time),
             percent_cell(row.needless), number(row.needless_decisions, 1), percent_cell(row.hard_brakes),
             number(row.min_ttc, 2), number(row.bytes_per_message), number(row.largest_message),
             number(row.bytes_per_second / 1000, 1),
@@ -196,15 +198,18 @@ def order_table(orders: Sequence[Order]) -> str:
 
 
 def sweep_table(values: Mapping[str, Mapping[str, ClosedRow]], name: str) -> str:
-    """One scene of a sweep, value -> method -> row: success and collision at every point."""
+    """One scene of a sweep, value -> method -> row: success, collision and time lost at every point."""
     methods = list(dict.fromkeys(method for rows in values.values() for method in rows))
-    head = [name, "episodes", *(f"{who}: {what}" for who in methods for what in ("success %", "collision %"))]
+    told = ("success %", "collision %", "time lost, s")
+    head = [name, "episodes", *(f"{who}: {what}" for who in methods for what in told)]
     head += [f"{who}: bytes/message, kB/s" for who in methods]
     cells = []
     for value, rows in values.items():
         there = [rows.get(who) for who in methods]
         line = [value, str(max(row.episodes for row in rows.values()))]
-        line += [percent_cell(getattr(row, what, None)) for row in there for what in ("success", "collision")]
+        for row in there:
+            line += [percent_cell(getattr(row, what, None)) for what in ("success", "collision")]
+            line.append(time_cell(getattr(row, "time_lost", None)))
         line += [
             NONE if row is None else f"{number(row.bytes_per_message)}, {number(row.bytes_per_second / 1000, 1)}"
             for row in there
@@ -233,7 +238,11 @@ def _bold(name: str) -> str:
     return f"**{name}**" if name == OURS else name
 
 
-def _time(estimate: Estimate | None) -> str:
+def time_cell(estimate: Estimate | None) -> str:
+    """
+    >>> time_cell(Estimate(1.25, 0.9, 1.62))
+    '1.2 [0.9, 1.6]'
+    """
     return NONE if estimate is None else f"{estimate.value:.1f} [{estimate.low:.1f}, {estimate.high:.1f}]"
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from baselines.cli import Progress, parsed, refused, stopped
+from baselines.controls.names import BEST_BLIND
 from baselines.evaluation.command import scored
-from baselines.evaluation.settings import ALL_SCENARIOS, Settings
+from baselines.evaluation.settings import ALL_SCENARIOS, Settings, usual
 from baselines.methods import folder_of, learned_named, radio_of
 from baselines.signals import import_whole, sigterm_as_ctrl_c
 from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
@@ -18,7 +19,8 @@ from cad_env.config import radio_config
 from policies.training.config import STEPS, TrainingConfig
 
 MAIN_METHODS = ("stgraph", "stgraph-own")
-REFERENCE_METHODS = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # scored beside them
+# Scored beside them; best-blind as far as it was chosen.
+REFERENCE_METHODS = ("always-go", "always-brake", BEST_BLIND, "planner-own", "planner-shared", "expert")
 # The others are those of the training config that they make; only `steps` would be rounded up to what it takes.
 _LIMITS = {"score": (0, 1_000_000), "jobs": (1, 64), "steps": STEPS}
 _ASKED = ("radio", "episodes", "dagger_rounds", "dagger_episodes", "mixing", "steps", "validation")
@@ -106,7 +108,7 @@ class TrainSettings:
             scores = self.folder() / f"scores_{self.score}{asked}_{version()}"
             found.append(
                 Settings(
-                    scenario=self.scenarios(), method=(*REFERENCE_METHODS, *methods),
+                    scenario=self.scenarios(), method=(*usual(REFERENCE_METHODS, self.scenarios()), *methods),
                     models=tuple(map(self.models, self.seed)),
                     episodes=max(self.score, 1), jobs=self.jobs, out=scores, radio=radio,
                 )

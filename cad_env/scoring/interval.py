@@ -81,9 +81,15 @@ def clustered(counts: Sequence[int], sizes: Sequence[int]) -> Share:
     >>> clustered([4] * 50 + [0] * 450, [4] * 500)  # four that always fare alike are no more than one
     Share(count=200, of=2000, low=0.0766..., high=0.1294...)
     """
+    count, total = sum(counts), sum(sizes)
+    return Share(count, total, *wilson_of_rate(count / total, effective_number(counts, sizes)))
+
+
+def effective_number(counts: Sequence[int], sizes: Sequence[int]) -> float:
+    """How many independent trials a share of `counts` in `sizes`, agents of each episode, is worth; see `clustered`."""
     count, total, episodes = sum(counts), sum(sizes), len(sizes)
     rate = count / total
     alone = rate * (1.0 - rate) / total  # the variance if agents were independent
     between = math.fsum((k - rate * n) ** 2 for k, n in zip(counts, sizes, strict=True)) / total**2
     effective = total * alone / between if alone > 0.0 and between > 0.0 else math.inf if alone > 0.0 else episodes
-    return Share(count, total, *wilson_of_rate(rate, min(effective, total)))
+    return min(effective, total)

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING
 
-from cad_env.scoring.interval import wilson
+from cad_env.scoring.interval import Estimate, wilson
+from cad_env.scoring.time_lost import EXPERT, time_lost
 from cad_env.types import OUTCOMES, STEP
 
 if TYPE_CHECKING:
@@ -133,6 +134,13 @@ class Scorecard:
     collision_rate: float
     collision_low: float
     collision_high: float
+    times_lost: int  # episodes with a time lost against the expert; 0 without the expert's episodes
+    time_lost: float | None  # s after the expert on the same seed, mean (scoring/time_lost.py)
+    time_lost_low: float | None
+    time_lost_high: float | None
+    time_lost_p90: float | None  # s, 90th percentile
+    time_lost_p90_low: float | None
+    time_lost_p90_high: float | None
     successes: int
     success_rate: float
     success_low: float
@@ -151,10 +159,13 @@ class Scorecard:
     min_ttc: float | None  # s, the smallest of all episodes
 
 
-def scorecards(episodes: "Iterable[Record | Episode]") -> list[Scorecard]:
+def scorecards(
+    episodes: "Iterable[Record | Episode]", expert: "Iterable[Record | Episode] | None" = None
+) -> list[Scorecard]:
     """Rows for all episodes, those with a hazard and those without, as far as there are any.
 
-    Scenarios and methods come in the order of their first episode.
+    Scenarios and methods come in the order of their first episode. Time lost is against the episodes of `expert`;
+    default: those among `episodes` whose method is "expert".
 
     >>> from cad_env import CADVectorEnv, rollouts, table
     >>> class Go:
@@ -168,25 +179,31 @@ def scorecards(episodes: "Iterable[Record | Episode]") -> list[Scorecard]:
     left_turn  go      all            4  ...
     """
     groups: dict[tuple[str, str], list[Record]] = {}
-    for episode in episodes:
-        record = episode if isinstance(episode, Record) else record_of(episode)
+    for record in map(_as_record, episodes):
         groups.setdefault((record.scenario, record.method), []).append(record)
+    given = None if expert is None else [_as_record(episode) for episode in expert]
     return [
-        scorecard(kind, chosen)
+        scorecard(kind, chosen, groups.get((chosen[0].scenario, EXPERT), ()) if given is None else given)
         for group in groups.values()
         for kind in KINDS
         if (chosen := [record for record in group if kind == "all" or record.hazard == (kind == "yes")])
     ]
 
 
-def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
-    """The row of at least one record, all of one scenario and method."""
+def _as_record(episode: "Record | Episode") -> Record:
+    return episode if isinstance(episode, Record) else record_of(episode)
+
+
+def scorecard(kind: str, records: Sequence[Record], expert: Sequence[Record] = ()) -> Scorecard:
+    """The row of at least one record, all of one scenario and method; `expert`: whom time is lost against."""
     episodes = len(records)
     count = {outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES}
     collision, collision_low, collision_high = _rate(count["collision"], episodes)
     success, success_low, success_high = _rate(count["success"], episodes)
     braked = sum(record.brakes > 0 for record in records)
-    needless: _Interval = _rate(braked, episodes) if kind == "no" else (None, None, None)
+    needless: _Interval = _rate(braked, episodes) if kind == "no" else _NOTHING
+    lost = time_lost(records, expert)
+    mean_lost, high_lost = (_NOTHING, _NOTHING) if lost is None else (_parts(lost.mean), _parts(lost.high))
     messages = sum(record.messages_sent for record in records)
     total = sum(record.bytes_total for record in records)
     time = math.fsum(record.time for record in records)
@@ -199,6 +216,13 @@ def scorecard(kind: str, records: Sequence[Record]) -> Scorecard:
         collision_rate=collision,
         collision_low=collision_low,
         collision_high=collision_high,
+        times_lost=0 if lost is None else lost.times,
+        time_lost=mean_lost[0],
+        time_lost_low=mean_lost[1],
+        time_lost_high=mean_lost[2],
+        time_lost_p90=high_lost[0],
+        time_lost_p90_low=high_lost[1],
+        time_lost_p90_high=high_lost[2],
         successes=count["success"],
         success_rate=success,
         success_low=success_low,
@@ -228,4 +252,9 @@ def _mean(values: Sequence[float]) -> float | None:
     return math.fsum(values) / len(values) if values else None
 
 
+def _parts(estimate: Estimate) -> "_Interval":
+    return estimate.value, estimate.low, estimate.high
+
+
 _Interval = tuple[float | None, float | None, float | None]
+_NOTHING: _Interval = (None, None, None)

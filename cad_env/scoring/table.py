@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from cad_env.scoring.scorecard import Scorecard
 
-TITLES = ("scenario", "method", "hazard", "episodes", "collision % [95 %]", "success % [95 %]", "timeouts",
-           "time s", "needless brakes %", "bytes/message", "max")  # fmt: skip
+TITLES = ("scenario", "method", "hazard", "episodes", "collision % [95 %]", "time lost s [95 %]", "90th pct s [95 %]",
+           "success % [95 %]", "timeouts", "time s", "bytes/message", "max")  # fmt: skip
 
 
 def text_table(titles: Sequence[str], rows: Sequence[Sequence[str]], names: int = 3) -> str:
@@ -29,7 +29,10 @@ def text_table(titles: Sequence[str], rows: Sequence[Sequence[str]], names: int 
 
 
 def table(rows: Sequence[Scorecard]) -> str:
-    """The scorecards as text, a part for each scenario."""
+    """The scorecards as text, a part for each scenario.
+
+    Time lost is how much later it arrives than the expert on the same seed: its mean and its 90th percentile.
+    """
     cells = [cells_of(row) for row in rows]
     head, rule, *lines = text_table(TITLES, cells).splitlines()
     parts: dict[str, list[str]] = {}
@@ -43,9 +46,10 @@ def cells_of(row: Scorecard) -> tuple[str, ...]:
     return (
         row.scenario, row.method, row.hazard, str(row.episodes),
         percent(row.collision_rate, row.collision_low, row.collision_high),
+        seconds(row.time_lost, row.time_lost_low, row.time_lost_high),
+        seconds(row.time_lost_p90, row.time_lost_p90_low, row.time_lost_p90_high),
         percent(row.success_rate, row.success_low, row.success_high),
         str(row.timeouts), f"{row.mean_time:.1f}",
-        percent(row.needless_brakes, row.needless_low, row.needless_high),
         "-" if row.bytes_per_message_mean is None else f"{row.bytes_per_message_mean:.0f}",
         "-" if row.bytes_per_message_max is None else str(row.bytes_per_message_max),
     )  # fmt: skip
@@ -60,3 +64,14 @@ def percent(rate: float | None, low: float | None, high: float | None) -> str:
     if rate is None or low is None or high is None:
         return "-"
     return f"{100 * rate:.1f} [{100 * low:4.1f},{100 * high:5.1f}]"
+
+
+def seconds(value: float | None, low: float | None, high: float | None) -> str:
+    """A time with its interval in s, a dash where there is none.
+
+    >>> seconds(1.25, 0.94, 1.56)
+    '1.2 [0.9, 1.6]'
+    """
+    if value is None or low is None or high is None:
+        return "-"
+    return f"{value:.1f} [{low:.1f}, {high:.1f}]"

@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.controls.names import best_control
+from baselines.controls.policies import Control, control
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
 from baselines.methods import METHODS, SHIPPED_METHODS, Always, method_named, shipped_models
 from cad_env.envs.single import CADEnv
+from cad_env.scenarios import SHIPPED
 from cad_env.scoring.rollout import BatchPolicy, rollout
 from cad_env.types import BRAKE, GO, Policy
 from policies.model_folder import ModelError, SavedModel, save_model
@@ -38,8 +41,14 @@ def test_of_those_that_ship_only_two_are_sent_anything() -> None:
     assert [name for name in SHIPPED_METHODS if method_named(name).shares] == ["planner-shared", "stgraph"]
 
 
-def test_only_the_expert_sees_the_truth(models: Path) -> None:
-    assert [name for name in SHIPPED_METHODS if policy_of(name, models).privileged] == ["expert"]
+def test_only_the_expert_sees_the_truth_and_a_control_its_own_row(models: Path) -> None:
+    assert [name for name in SHIPPED_METHODS if policy_of(name, models).privileged] == ["best-blind", "expert"]
+    assert isinstance(policy_of("best-blind", models), Control)
+
+
+def test_the_best_control_is_that_of_the_scenario() -> None:
+    for scenario in SHIPPED:
+        assert job_of(Settings(), scenario, "best-blind").policy == control(best_control(scenario), scenario)
 
 
 def test_an_unknown_method_is_refused_with_the_choices() -> None:

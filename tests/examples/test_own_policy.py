@@ -41,7 +41,7 @@ def test_they_are_in_the_table_beside_the_others(tmp_path: Path, capsys: pytest.
     assert BLIND in shown
     assert "my_policy:BrakeNearJunction" in shown
     records = [json.loads(line) for line in (tmp_path / "episodes.jsonl").read_text().splitlines()]
-    assert {record["method"] for record in records} == {BLIND, "my_policy:BrakeNearJunction", "always-go"}
+    assert {record["method"] for record in records} == {BLIND, "my_policy:BrakeNearJunction", "always-go", "expert"}
     assert all(record["brakes"] == 10 for record in records if record["method"] == BLIND)
     assert {record["bytes_total"] for record in records} == {0}
     assert BLIND in (tmp_path / "report.html").read_text()
@@ -53,7 +53,7 @@ def test_a_shard_of_them_merges(tmp_path: Path) -> None:
         assert evaluate.main(words(tmp_path, "--episodes", "4", "--shard", part, "--no-report")) == 0
     shards = [str(tmp_path / f"shard_{k}_of_2") for k in (1, 2)]
     assert evaluate.main(["--merge", *shards, "--out", str(tmp_path / "whole"), "--no-report"]) == 0
-    assert len((tmp_path / "whole" / "episodes.jsonl").read_text().splitlines()) == 12
+    assert len((tmp_path / "whole" / "episodes.jsonl").read_text().splitlines()) == 16
 
 
 def test_an_edited_policy_does_not_go_on_with_old_episodes(tmp_path: Path) -> None:

@@ -68,6 +68,8 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
         (["--shard", "3/2"], "shard must be i/n"),
         (["--shard", "half"], "shard must be i/n"),
         (["--method", "nobody"], "unknown method 'nobody': choose among always-go"),
+        (["--method", "blind-soon"], "blind-D needs a number of seconds from 0 to 60, such as blind-0.5, got"),
+        (["--method", "slow-0"], "slow-V needs a speed in m/s from 1 to 50, such as slow-5, got 'slow-0'"),
         (["--method", "expert", "expert"], "each once"),
         (["--method"], "at least one"),
         (["--radio", "am"], "unknown radio 'am': choose one of none, ideal, dsrc, cv2x"),
@@ -113,7 +115,8 @@ def test_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         evaluate.main(["--help"])
     assert stopped.value.code == 0
-    assert "--sensor-noise" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("--sensor-noise", "blind-D", "stop-D", "slow-V", "best-blind"))
 
 
 def test_help_waits_for_no_heavy_import() -> None:

@@ -69,7 +69,7 @@ def test_a_merged_folder_is_a_finished_run(shards: list[Path], tmp_path: Path) -
 
 def test_a_missing_shard_is_noticed(shards: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = refusal(capsys, shards[0], "--out", tmp_path / "out")
-    assert "lack 10 of 60 episodes, such as seed 1000025 of always-go in left_turn" in said
+    assert "lack 15 of 90 episodes, such as seed 1000025 of always-go in left_turn" in said
     assert not (tmp_path / "out").exists()
 
 

@@ -64,8 +64,8 @@ def some_records(
         record = replace(
             bare, scenario=scene, method=name, seed=seed, hazard=hazard, messages_sent=sent, bytes_total=250 * sent,
             bytes_per_message_mean=250.0 if sent else None, bytes_per_message_max=480 if sent else None,
-            hazard_time=chance.uniform(-1.0, 1.0) if hazard else None, min_ttc=chance.random(),
-            outcome=chance.choice(["success", "collision", "timeout"]),
+            min_ttc=chance.random(), outcome=chance.choice(["success", "collision", "timeout"]),
+            time=9.0 + chance.random(),
         )  # fmt: skip
         records.append(record)
     return records
@@ -115,7 +115,8 @@ def test_the_page_fetches_nothing(folder: Path) -> None:
 def test_the_plots_are_there_with_titles_and_captions(folder: Path) -> None:
     page = Page(folder / "report.html")
     assert list(page.images) == [
-        "Collisions", "Successes", "Safety against bytes on the air", "Collisions against hazard time",
+        "Collisions", "Successes", "Collisions against time lost", "Success by a deadline",
+        "Safety against bytes on the air",
     ]  # fmt: skip
     for title, source in page.images.items():
         kind, data = source.split(",")
@@ -136,10 +137,23 @@ def test_a_point_moves_with_its_rate() -> None:
     assert all(before.svg != after.svg for before, after in pairs)
 
 
+def test_without_the_expert_nothing_stands_against_time_lost(tmp_path: Path) -> None:
+    others = [record for record in few_records() if record.method != "expert"]
+    images = Page(written(tmp_path, others)).images
+    assert "Collisions against time lost" not in images
+    assert "Success by a deadline" in images
+
+
+def test_needless_brakes_are_among_all_numbers(folder: Path) -> None:
+    text = Page(folder / "report.html").text
+    calm = next(row for row in scorecards(some_records()) if row.hazard == "no")
+    assert "needless brakes %" in text
+    assert f" {100 * calm.needless_brakes:.1f} [" in text  # type: ignore[operator]
+
+
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_runs_of_one_kind_of_episode_have_a_page_too(share: float, tmp_path: Path) -> None:
-    page = Page(written(tmp_path, few_records(share)))
-    assert ("Collisions against hazard time" in page.images) == (share > 0.0)
+    assert "Success by a deadline" in Page(written(tmp_path, few_records(share))).images
 
 
 def test_silence_needs_no_plot_of_bytes(tmp_path: Path) -> None:
@@ -167,14 +181,14 @@ def test_the_command_writes_a_report_that_names_the_command(tmp_path: Path, caps
     assert evaluate.main([*some, "--out", str(tmp_path)]) == 0
     assert str(tmp_path / "report.html") in capsys.readouterr().out
     page = Page(tmp_path / "report.html")
-    assert "python evaluate.py --scenario left_turn --method always-go --episodes 2 --hazard yes" in page.text
-    assert "Collisions against hazard time" in page.images  # so the timing of a hazard comes from the scene
+    assert "python evaluate.py --scenario left_turn --method always-go expert --episodes 2 --hazard yes" in page.text
 
 
 def test_the_command_animates_an_episode_of_each_kind(tmp_path: Path) -> None:
     some = ["--scenario", "left_turn", "--method", "always-go", "--episodes", "2", "--hazard", "yes", "--gif", "1"]
     assert evaluate.main([*some, "--out", str(tmp_path)]) == 0
-    assert [path.name for path in (tmp_path / "gifs").iterdir()] == ["left_turn_always-go_collision_1000000.gif"]
+    made = {path.name for path in (tmp_path / "gifs").iterdir()}
+    assert made == {"left_turn_always-go_collision_1000000.gif", "left_turn_expert_success_1000000.gif"}
     assert "left turn, always-go: collision, a hazard, seed 1000000" in Page(tmp_path / "report.html").images
 
 

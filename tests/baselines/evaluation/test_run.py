@@ -9,12 +9,16 @@ import pytest
 from stopped_runs import AT_FIRST_EPISODE, last_words, stopped_run
 
 import evaluate
+from baselines.controls import names
+from baselines.controls.names import GRID, best_control, read_choice
 from baselines.evaluation import run as scoring
 from baselines.evaluation.run import score
-from baselines.evaluation.settings import Settings
+from baselines.evaluation.settings import Settings, comparable
+from baselines.methods import SHIPPED_METHODS
 from cad_env.scenarios import SHIPPED
 from cad_env.scoring.rollout import Episode
 from cad_env.scoring.scorecard import Record, parse_record, record_of
+from cad_env.scoring.time_lost import time_lost
 
 SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-shared", "--episodes", "3"]
 LONG = ["--scenario", "left_turn", "--method", "always-brake", "--episodes", "75"]
@@ -54,7 +58,7 @@ def copy(done: Path, tmp_path: Path) -> Path:
 
 def test_every_method_meets_the_same_seeds_in_order(done: Path) -> None:
     assert [(record.method, record.seed) for record in records(done)] == [
-        (name, 1_000_000 + k) for name in ("always-go", "planner-shared") for k in range(3)
+        (name, 1_000_000 + k) for name in ("always-go", "planner-shared", "expert") for k in range(3)
     ]
     by_seed: dict[int, set[bool]] = {}
     for record in records(done):
@@ -64,7 +68,7 @@ def test_every_method_meets_the_same_seeds_in_order(done: Path) -> None:
 
 def test_records_hold_the_bytes_that_were_sent(done: Path) -> None:
     for record in records(done):
-        if record.method == "always-go":
+        if record.method != "planner-shared":
             assert record.bytes_total == record.messages_sent == 0
             assert record.bytes_per_message_mean is record.bytes_per_message_max is None
         else:
@@ -78,13 +82,60 @@ def test_records_hold_the_bytes_that_were_sent(done: Path) -> None:
 def test_scores_and_table_come_with_intervals(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(copy, *SOME) == 0
     rows = json.loads((copy / "scores.json").read_text())
-    assert {row["method"] for row in rows} == {"always-go", "planner-shared"}
+    assert {row["method"] for row in rows} == {"always-go", "planner-shared", "expert"}
     assert {"collision_rate", "collision_low", "collision_high", "success_low", "timeouts"} <= rows[0].keys()
+    assert {"time_lost", "time_lost_low", "time_lost_p90", "time_lost_p90_high"} <= rows[0].keys()
     assert "planner-shared" in capsys.readouterr().out
 
 
+def test_the_expert_is_added_once_for_the_others_to_be_compared_with(tmp_path: Path) -> None:
+    usual = Settings(scenario=("left_turn",), method=("always-go",))
+    assert comparable(usual).method == ("always-go", "expert")
+    assert comparable(comparable(usual)) == comparable(usual)
+    assert comparable(Settings()) == Settings()
+    assert run(tmp_path, "--scenario", "left_turn", "--method", "blind-1", "--episodes", "4") == 0
+    rows = {row["method"]: row for row in json.loads((tmp_path / "scores.json").read_text()) if row["hazard"] == "all"}
+    lost = time_lost(records(tmp_path)[:4], records(tmp_path)[4:])
+    assert lost is not None
+    assert rows["blind-1"]["time_lost"] == lost.mean.value
+    assert rows["expert"]["time_lost"] == 0.0
+
+
+def test_one_word_stands_for_all_controls() -> None:
+    assert Settings(method=("expert", "controls", "stgraph")).method == ("expert", *GRID, "stgraph")
+    with pytest.raises(ValueError, match="each once"):
+        Settings(method=("blind-0.5", "controls"))
+
+
+def test_another_choice_of_the_best_control_is_another_run(
+    refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = ["--scenario", "left_turn", "--episodes", "2", "--method"]
+    assert run(tmp_path / "out", *some, "best-blind") == 0
+    note = json.loads((tmp_path / "out" / "settings.json").read_text())
+    assert note["choice of best-blind"] == {"left_turn": best_control("left_turn")}
+    (tmp_path / "best.json").write_text(json.dumps({"left_turn": {"chosen": "slow-8"}}))
+    monkeypatch.setattr(names, "read_choice", lambda: read_choice(tmp_path / "best.json"))
+    assert "another code of best-blind (" in refused(tmp_path / "out", *some, "best-blind")
+    assert run(tmp_path / "new", *some, "best-blind") == 0
+    assert run(tmp_path / "same", *some, "slow-8") == 0
+    one, other = (records(tmp_path / folder) for folder in ("new", "same"))
+    assert [vars(record) | {"method": ""} for record in one] == [vars(record) | {"method": ""} for record in other]
+
+
+def test_a_scenario_without_a_choice_is_scored_without_the_best_control(
+    refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(names, "read_choice", dict)
+    some = Settings(scenario=("left_turn",))
+    assert comparable(some).method == tuple(name for name in SHIPPED_METHODS if name != "best-blind")
+    asked = ["--scenario", "left_turn", "--method", "best-blind"]
+    assert "no best-blind is chosen for scenario 'left_turn'" in refused(tmp_path / "out", *asked)
+
+
 def test_another_program_gets_the_same_rows(done: Path, tmp_path: Path) -> None:
-    rows = score(Settings(scenario=("left_turn",), method=("always-go", "planner-shared"), episodes=3, out=tmp_path))
+    methods = ("always-go", "planner-shared", "expert")
+    rows = score(Settings(scenario=("left_turn",), method=methods, episodes=3, out=tmp_path))
     assert [vars(row) for row in rows] == json.loads((done / "scores.json").read_text())
 
 
@@ -111,7 +162,7 @@ def test_sharing_over_a_dead_radio_is_sharing_nothing(tmp_path: Path) -> None:
         )
         == 0
     )
-    own, shared = records(tmp_path)[:4], records(tmp_path)[4:]
+    own, shared = records(tmp_path)[:4], records(tmp_path)[4:8]
     assert [vars(record) | {"method": ""} for record in own] == [vars(record) | {"method": ""} for record in shared]
 
 
@@ -133,7 +184,8 @@ def test_overrides_reach_the_environment(done: Path, tmp_path: Path) -> None:
         == 0
     )
     before = [record for record in records(done) if record.method == "planner-shared"]
-    for few, many in zip(before, records(tmp_path), strict=True):
+    after = [record for record in records(tmp_path) if record.method == "planner-shared"]
+    for few, many in zip(before, after, strict=True):
         assert few.messages_lost < many.messages_lost
         assert many.bytes_per_message_mean < few.bytes_per_message_mean  # type: ignore[operator]
 
@@ -143,7 +195,10 @@ def test_every_scenario_meets_every_method_on_the_same_seeds_in_a_table_of_its_o
 ) -> None:
     assert run(tmp_path, "--method", "always-go", "planner-own", "--episodes", "2") == 0
     assert [(record.scenario, record.method, record.seed) for record in records(tmp_path)] == [
-        (scene, name, 1_000_000 + k) for scene in SHIPPED for name in ("always-go", "planner-own") for k in range(2)
+        (scene, name, 1_000_000 + k)
+        for scene in SHIPPED
+        for name in ("always-go", "planner-own", "expert")
+        for k in range(2)
     ]
     tables = capsys.readouterr().out.split("\n\n")
     assert [part.splitlines()[2].split()[0] for part in tables] == list(SHIPPED)

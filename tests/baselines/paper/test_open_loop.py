@@ -41,6 +41,13 @@ def test_whoever_is_asked_the_expert_drives() -> None:
     assert expert.episodes[0].labels == "".join(map(str, alone.action.tolist()))
 
 
+def test_a_control_is_asked_from_the_start_of_every_episode() -> None:
+    loop = asked("blind-1")
+    assert len(loop.episodes) == len(SEEDS)
+    for episode in loop.episodes:
+        assert episode.answers == "1" * 10 + "0" * (len(episode.labels) - 10)
+
+
 def test_a_network_answers_as_it_drives_and_says_how_sure_it_is() -> None:
     loop = asked("stgraph")
     seen = []

@@ -18,6 +18,7 @@ from baselines.paper.folder import read_run
 from baselines.paper.published import SCENES, TABLE_2, TABLE_3
 from baselines.paper.report import found_in, write_results
 from baselines.paper.sweeps import SWEEPS, points
+from baselines.paper.tables import outcome_table, percent_cell, sweep_table, time_cell
 from cad_env.envs.single import CADEnv
 from cad_env.scoring.interval import wilson_estimate
 from cad_env.scoring.rollout import rollout
@@ -50,8 +51,10 @@ def test_the_numbers_of_a_row_by_hand() -> None:
     assert row.sct is not None
     assert row.sct.value == pytest.approx((1.0 + 0.5 + 0.0) / 3)
     assert row.mean_time.value == pytest.approx(35 / 3)
-    assert row.calm_time is not None
-    assert (row.calm_time.value, row.needless_decisions) == (10.0, 2.0)
+    assert row.time_lost is not None
+    assert row.time_lost_p90 is not None
+    assert (row.time_lost.value, row.time_lost_p90.value) == (5.0, 10.0)  # 0 and 10 s: the collision has no time
+    assert row.needless_decisions == 2.0
     assert row.needless == wilson_estimate(1.0, 1)
     assert row.hard_brakes == wilson_estimate(1 / 3, 3)
     assert (row.bytes_per_message, row.largest_message) == (300.0, 400)
@@ -62,7 +65,33 @@ def test_the_numbers_of_a_row_by_hand() -> None:
 
 
 def test_without_the_expert_success_has_no_time_to_be_weighed_by() -> None:
-    assert closed_row("dsrc", "left_turn", "stgraph", {0: MINE}, {}).sct is None
+    row = closed_row("dsrc", "left_turn", "stgraph", {0: MINE}, {})
+    assert row.sct is row.time_lost is row.time_lost_p90 is None
+    assert " | - | - | " in outcome_table([row])
+
+
+def test_time_lost_stands_beside_the_collisions_of_every_table() -> None:
+    row = closed_row("dsrc", "left_turn", "stgraph", {0: MINE}, EXPERT)
+    cells = f"| {percent_cell(row.collision)} | {time_cell(row.time_lost)} |"
+    assert cells in outcome_table([row])
+    assert cells in sweep_table({"0.2": {"stgraph": row}}, "loss")
+    head = [title.strip() for title in outcome_table([row]).splitlines()[0].split("|")]
+    assert head.index("time lost, s") == head.index("collision %") + 1
+
+
+def test_training_seeds_are_of_the_same_episodes_in_the_time_lost_too() -> None:
+    one, twice = (
+        closed_row("dsrc", "left_turn", "stgraph", dict.fromkeys(range(count), MINE), EXPERT) for count in (1, 2)
+    )
+    assert one.time_lost is not None
+    assert one.time_lost == twice.time_lost
+
+
+def test_other_traffic_is_another_world_than_the_experts(tmp_path: Path) -> None:
+    found = found_in(read_run(write_run(tmp_path, ["left_turn"], 20))).sweeps
+    known = {value: rows["stgraph"].time_lost is not None for value, rows in found["traffic"]["left_turn"].items()}
+    assert known == {"none": False, "light": True, "dense": False}
+    assert all(rows["stgraph"].time_lost is not None for rows in found["loss"]["left_turn"].values())
 
 
 def test_training_seeds_give_a_spread_and_no_narrower_interval() -> None:
@@ -130,11 +159,35 @@ def test_bars_are_judged_by_what_was_measured() -> None:
         "success at least 98 %": False,
         "needless brakes in at most 10 % of episodes without a hazard": False,
         "success within 2 points of the expert's": False,
-        "time without a hazard within 10 % of the expert's": True,
         "mean message at most 600 B": True,
         "messages 100 times smaller than those of compressed": True,
     }
     assert found["messages 100 times smaller than those of compressed"].measured == "110 times"
+
+
+@pytest.mark.parametrize(("lost", "met"), [(2.0, True), (2.1, False)])
+def test_time_lost_has_its_bar(lost: float, met: bool) -> None:
+    late = {seed: replace(record, time=10.0 + lost, outcome="success") for seed, record in MINE.items()}
+    row = closed_row("dsrc", "left_turn", "stgraph", {0: late}, EXPERT)
+    found = {bar.demand: bar.met for bar in bars("left_turn", {"dsrc": [row]}, {})}
+    assert found["at most 2 s lost to the expert"] is met
+
+
+@pytest.mark.parametrize(
+    ("collisions", "lost", "met"), [(5, 5.0, False), (6, 0.0, True), (0, 5.1, True), (0, 0.0, False)]
+)
+def test_a_scene_that_is_passed_with_closed_eyes_is_not_met(collisions: int, lost: float, met: bool) -> None:
+    records = {
+        k: replace(
+            CALM, seed=k, method="best-blind", outcome="collision" if k < collisions else "success", time=10 + lost
+        )
+        for k in range(100)
+    }
+    expert = {k: replace(CALM, seed=k, method="expert", time=10.0) for k in records}
+    row = closed_row("dsrc", "left_turn", "best-blind", {0: records}, expert)
+    (found,) = bars("left_turn", {"dsrc": [row]}, {})
+    assert found.demand == "best-blind collides in more than 5 % or loses more than 5 s"
+    assert found.met is met
 
 
 def test_the_papers_rows_agree_with_each_other() -> None:

@@ -1,10 +1,28 @@
 """The knobs of sensing and sharing: frozen, with units, and checked when they are made."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from types import MappingProxyType
 
 from cad_env.types import FRAMES, STEP
+
+
+class ConfigError(ValueError):
+    """A setting, an argument or a file that cannot be used; its message is one line."""
+
+
+def did_you_mean(given: object, choices: Iterable[str]) -> str:
+    """The end of a message about a name that is none of the choices: the nearest of them; empty if none is near.
+
+    >>> did_you_mean("cv2v", ["dsrc", "cv2x"])
+    '; did you mean cv2x?'
+    """
+    known = {name.casefold(): name for name in choices}
+    # Longer names than any real one are cut: the time that the comparison takes grows with the square of their length.
+    near = get_close_matches(given[:100].casefold(), known, 1) if isinstance(given, str) else []
+    return f"; did you mean {known[near[0]]}?" if near else ""
 
 
 def check_range(name: str, value: object, low: float, high: float) -> None:
@@ -87,7 +105,8 @@ def radio_config(radio: str | RadioConfig) -> RadioConfig:
     if isinstance(radio, RadioConfig):
         return radio
     if not isinstance(radio, str) or radio not in RADIO_PRESETS:
-        raise ValueError(f"unknown radio {radio!r}: choose one of {', '.join(RADIO_PRESETS)} or give a RadioConfig")
+        choices = f"choose one of {', '.join(RADIO_PRESETS)} or give a RadioConfig"
+        raise ConfigError(f"unknown radio {radio!r}: {choices}{did_you_mean(radio, RADIO_PRESETS)}")
     return RADIO_PRESETS[radio]
 
 
@@ -95,4 +114,5 @@ def check_names(what: str, given: dict[str, object], allowed: list[str]) -> None
     """Refuse a misspelt key with a one-line ValueError that names it, its value and what is allowed."""
     for name, value in given.items():
         if name not in allowed:
-            raise ValueError(f"unknown {what} {name}={value!r}: choose among {', '.join(sorted(allowed))}")
+            choices = f"choose among {', '.join(sorted(allowed))}{did_you_mean(name, allowed)}"
+            raise ConfigError(f"unknown {what} {name}={value!r}: {choices}")

@@ -3,12 +3,13 @@
 import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.settings import Settings
-from baselines.methods import Method, method_named
+from baselines.methods import Method, how_to_train, method_named, shipped_models
 from baselines.references import is_reference, module_source
-from cad_env.config import RADIO_PRESETS
+from cad_env.config import RADIO_PRESETS, ConfigError
 from cad_env.types import Command, Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
@@ -45,15 +46,25 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
     if method.model is not None:
         folder = settings.models_folder() / method.model
         if not folder.is_dir():
-            raise ValueError(
-                f"no trained model for {name}: there is no folder {folder}; train.py --method {name} trains it"
-            )
+            raise ConfigError(_untrained(settings, name, folder))
         for file in MODEL_FILES:
             known.update((folder / file).read_bytes() if (folder / file).exists() else b"")
         known.update(_code_of_network(method).encode())
     if is_reference(name):
         known.update(module_source(name))
     return known.hexdigest()[:16]
+
+
+def _untrained(settings: Settings, name: str, folder: Path) -> str:
+    """Why a method cannot drive that has no model, and what to do."""
+    from cad_env.scenarios import SHIPPED
+
+    scenarios = settings.scenarios()
+    if settings.models and (shipped_models() / folder.name).is_dir():
+        how = "leave out --models for the model that ships"
+    else:
+        how = how_to_train(name, () if set(scenarios) <= set(SHIPPED) else scenarios)
+    return f"{name} needs training, and {folder.parent} has no model of it: {how}"
 
 
 def _code_of_network(method: Method) -> str:

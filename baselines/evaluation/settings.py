@@ -9,7 +9,7 @@ from typing import Any
 from baselines.evaluation.grid import Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
 from baselines.methods import SHIPPED_METHODS, shipped_models
-from cad_env.config import RadioConfig, SensorConfig, check_range, radio_config
+from cad_env.config import ConfigError, RadioConfig, SensorConfig, check_range, did_you_mean, radio_config
 from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
@@ -65,7 +65,8 @@ class Settings:
         check_range("jobs", self.jobs, 1, 256)
         check_range("gif", self.gif, 0, 1000)
         if self.backend not in BACKENDS:
-            raise ValueError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}")
+            near = did_you_mean(self.backend, BACKENDS)
+            raise ConfigError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}{near}")
         if self.backend == "ray":
             check_ray()
         if self.shard is not None:
@@ -75,7 +76,8 @@ class Settings:
         if self.threshold is not None:
             check_range("threshold", self.threshold, 0.0, 1.0)
         if self.hazard not in HAZARDS:
-            raise ValueError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}")
+            near = did_you_mean(self.hazard, HAZARDS)
+            raise ConfigError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}{near}")
         from cad_env.simulation.setup import setup_from
 
         for scenario in self.scenarios():

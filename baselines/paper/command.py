@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import Progress, parsed, refused, stopped
+from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.folder_note import claim
 from baselines.paper.presets import PRESETS
-from cad_env.config import check_range
+from cad_env.config import ConfigError, check_range, did_you_mean
 from cad_env.version import version
 
 NOTE, FAILURES = "reproduce.json", "failures.txt"
@@ -34,7 +34,8 @@ class ReproduceSettings:
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
-            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+            near = did_you_mean(self.preset, PRESETS)
+            raise ConfigError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}{near}")
         check_range("jobs", self.jobs, 1, 64)
         if self.shard and self.merge:
             raise ValueError("merge is of all shards: leave out --shard")
@@ -47,7 +48,7 @@ class ReproduceSettings:
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
-        settings = parsed(ReproduceSettings, argv)
+        settings = parsed(ReproduceSettings, argv, _choices)
         plan = plan_of(settings)
         note = {**asdict(plan.preset), "version of cad_env": version()}
         claim(plan.out / NOTE, note, "use another --out or delete it")
@@ -61,6 +62,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if failures else 0
 
 
+def _choices() -> str:
+    from baselines.methods import choices
+    from baselines.paper.tasks import in_table
+
+    return choices(in_table())
+
+
 def plan_of(settings: ReproduceSettings) -> Any:
     """What to do; ValueError for methods or shards that do not exist."""
     from baselines.evaluation.grid import shard_of
@@ -70,7 +78,8 @@ def plan_of(settings: ReproduceSettings) -> Any:
     if settings.shard is not None:
         shard_of(settings.shard)
     if unknown := [name for name in settings.method if name not in in_table()]:
-        raise ValueError(f"unknown method {unknown[0]!r}: choose among {', '.join(in_table())}")
+        choices = f"choose among {', '.join(in_table())}{did_you_mean(unknown[0], in_table())}"
+        raise ConfigError(f"unknown method {unknown[0]!r}: {choices}")
     rows = tuple(name for name in in_table() if not settings.method or name in settings.method)
     return Plan(settings.out, PRESETS[settings.preset], SHIPPED, rows)
 
@@ -178,4 +187,4 @@ def _put_together(plan: Any, command: str) -> None:
 
     if lacking := gather(plan):
         print(f"{lacking} parts are not finished: the tables are without them", file=sys.stderr)
-    print(f"The tables and plots: {write_results(plan.out, command)}")
+    say(f"The tables and plots: {write_results(plan.out, command)}")

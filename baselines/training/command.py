@@ -4,13 +4,14 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import Progress, parsed, refused, stopped
+from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import ALL_SCENARIOS, Settings
-from baselines.methods import folder_of, learned_named, radio_of
+from baselines.methods import LEARNED, choices, folder_of, learned_named, radio_of
 from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
 from cad_env.config import check_range, radio_config
 from policies.training.config import TrainingConfig
@@ -117,7 +118,7 @@ class TrainSettings:
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
-        settings = parsed(TrainSettings, argv)
+        settings = parsed(TrainSettings, argv, partial(choices, LEARNED))
         tasks = settings.tasks()
         for task in tasks:
             claim_folder(task)
@@ -130,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
     for each in scoring:
         if len(scoring) > 1 or each.radio != settings.radio:
-            print(f"Over the radio {each.radio}:")
+            say(f"Over the radio {each.radio}:")
         if code := scored(each):
             return code
     return 0

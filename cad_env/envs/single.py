@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common.abstract import AbstractEnv
 
-from cad_env.config import check_names
+from cad_env.config import ConfigError, check_names, did_you_mean
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import ego_step, progress, reward_named
 from cad_env.lidar.config import space_with
@@ -177,7 +177,8 @@ class CADEnv(AbstractEnv):
 def check_render_mode(render_mode: str | None) -> None:
     """Refuse a mode that does not exist with a one-line ValueError."""
     if render_mode is not None and render_mode not in RENDER_MODES:
-        raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
+        near = did_you_mean(render_mode, RENDER_MODES)
+        raise ConfigError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}{near}")
 
 
 def checked_hazard(hazard: Any) -> bool | None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cad_env.config import ConfigError, did_you_mean
 from cad_env.pipeline.merge import MERGE_GATE
 from cad_env.pipeline.radio import LOST, REACHES
 from cad_env.rendering.bodies import crossed, draw_body, draw_burst
@@ -149,5 +150,6 @@ def checked_layers(layers: Any) -> tuple[str, ...]:
         raise ValueError(f"layers must be a tuple of names among {', '.join(LAYERS)}, got {layers!r}")
     for name in layers:
         if name not in LAYERS:
-            raise ValueError(f"unknown layer {name!r}: choose among {', '.join(LAYERS)}")
+            choices = f"choose among {', '.join(LAYERS)}{did_you_mean(name, LAYERS)}"
+            raise ConfigError(f"unknown layer {name!r}: {choices}")
     return tuple(layers)

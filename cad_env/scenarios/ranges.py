@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from cad_env.config import check_range
+from cad_env.config import ConfigError, check_range, did_you_mean
 
 Range = tuple[float, float]
 
@@ -20,7 +20,8 @@ class Traffic:
 
     def __post_init__(self) -> None:
         if not isinstance(self.density, str) or self.density not in DENSITIES:
-            raise ValueError(f"traffic must be one of {', '.join(DENSITIES)}, got {self.density!r}")
+            near = did_you_mean(self.density, DENSITIES)
+            raise ConfigError(f"traffic must be one of {', '.join(DENSITIES)}, got {self.density!r}{near}")
         if self.penetration is not None:
             check_range("penetration", self.penetration, 0.0, 1.0)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from cad_env.config import check_range
+from cad_env.config import ConfigError, check_range, did_you_mean
 from cad_env.types import COMMANDS, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
@@ -14,7 +14,8 @@ _SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocit
 
 def _check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
-        raise ValueError(f"network {name} must be one of {', '.join(allowed)}, got {value!r}")
+        near = did_you_mean(value, allowed)
+        raise ConfigError(f"network {name} must be one of {', '.join(allowed)}, got {value!r}{near}")
 
 
 @dataclass(frozen=True)

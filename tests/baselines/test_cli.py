@@ -1,13 +1,18 @@
-"""Progress is shown on a terminal and without one."""
+"""Progress is shown on a terminal and without one; help names the choices; what is said fits any locale."""
 
+import io
 import sys
 import time
 from io import StringIO
+from types import ModuleType
 
 import pytest
 
+import reproduce
+import train
 from baselines import cli
 from baselines.cli import Progress
+from cad_env.scenarios import scenario_names
 
 
 class Terminal(StringIO):
@@ -51,3 +56,35 @@ def test_on_a_terminal_there_is_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     with Progress(4, "training") as progress:
         progress.update(4)
     assert "training 100%|" in screen.getvalue()
+
+
+@pytest.mark.parametrize("command", [train, reproduce])
+def test_help_lists_methods_and_scenarios(command: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        command.main(["--help"])
+    assert stopped.value.code == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "collab-gat, " in shown
+    assert f"Scenarios: {', '.join(scenario_names())}." in shown
+    assert ("expert" in shown.partition("Scenarios:")[0]) == (command is reproduce)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "utf-8"])
+@pytest.mark.parametrize("text", ["results_训练", "a ≤ b", "bytes that were no name: \udce8", "", "plain"])
+def test_what_is_said_is_written_in_any_locale(text: str, encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding=encoding, newline="\n")
+    monkeypatch.setattr("sys.stdout", stream)
+    cli.say(text)
+    stream.flush()
+    expected = text.encode(encoding, "backslashreplace").decode(encoding)
+    assert written.getvalue().decode(encoding) == expected + "\n"
+
+
+def test_bytes_that_a_locale_keeps_are_written_as_they_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding="ascii", errors="surrogateescape", newline="\n")
+    monkeypatch.setattr("sys.stdout", stream)
+    cli.say(b"\xe8\xae\xad".decode("ascii", "surrogateescape"))
+    stream.flush()
+    assert written.getvalue() == b"\xe8\xae\xad\n"

@@ -10,7 +10,16 @@ from scenes import boxes
 from stages import detect, nodes_and_edges
 
 import cad_env
-from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig, check_names, check_range, radio_config
+from cad_env.config import (
+    RADIO_PRESETS,
+    ConfigError,
+    RadioConfig,
+    SensorConfig,
+    check_names,
+    check_range,
+    did_you_mean,
+    radio_config,
+)
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays, row_of, slide
 from cad_env.simulation.setup import Setup, setup_from
@@ -85,6 +94,20 @@ def test_names_are_checked_with_value_and_choices():
     check_names("thing", {"a": 1}, ["a", "b"])
     with pytest.raises(ValueError, match=re.escape("unknown thing c=[1]: choose among a, b")):
         check_names("thing", {"a": 1, "c": [1]}, ["b", "a"])
+
+
+@pytest.mark.parametrize(
+    ("given", "nearest"),
+    [("cv2v", "cv2x"), ("CV2X", "cv2x"), ("dsrk", "dsrc"), ("5g", None), ("", None), (7, None), (None, None),
+     ("cv2x" * 10**6, None)],
+)  # fmt: skip
+def test_the_nearest_name_is_offered(given: object, nearest: str | None):
+    assert did_you_mean(given, ["dsrc", "cv2x"]) == ("" if nearest is None else f"; did you mean {nearest}?")
+
+
+def test_a_misspelt_key_is_answered_with_the_nearest():
+    with pytest.raises(ConfigError, match=re.escape("unknown thing rnage=1: choose among noise, range; did you mean ")):
+        check_names("thing", {"rnage": 1}, ["range", "noise"])
 
 
 def test_whole_numbers_are_numbers():

@@ -17,7 +17,8 @@ from baselines import cli
 from baselines.evaluation.run import identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import Store, read_records
-from cad_env.scenarios import SHIPPED
+from baselines.methods import METHODS
+from cad_env.scenarios import SHIPPED, scenario_names
 from policies.model_folder import SavedModel, save_model
 from policies.stgraph.network import StGraphNet
 from tests.baselines.evaluation.test_run import SOME, Refused, files, run
@@ -71,7 +72,10 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
         (["--method", "expert", "expert"], "each once"),
         (["--method"], "at least one"),
         (["--radio", "am"], "unknown radio 'am': choose one of none, ideal, dsrc, cv2x"),
-        (["--radoi", "dsrc"], "Unrecognized options: --radoi"),
+        (["--radoi", "dsrc"], "Unrecognized options: --radoi, dsrc; did you mean --radio?"),
+        (["--gnss_nosie=1"], "; did you mean --gnss-noise?"),
+        (["--no-repotr"], "; did you mean --no-report?"),
+        (["--megre", "a", "b"], "; did you mean --merge?"),
         (["--episodes", "many"], "--episodes: invalid literal for int() with base 10: 'many'"),
         (["--episodes", "0"], "episodes must be a number from 1"),
         (["--episodes"], "'--episodes'"),
@@ -88,7 +92,14 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
         (["--traffic", "heavy"], "traffic must be one of none, light, dense, got 'heavy'"),
         (["--penetration", "1.5"], "penetration must be a number from 0 to 1, got 1.5"),
         (["--hazard", "maybe"], "hazard must be one of all, yes, no, got 'maybe'"),
-        (["--method", "stgraph", "--models", "nowhere"], f"no folder {Path('nowhere', 'stgraph')}"),
+        (["--hazard", "yse"], "hazard must be one of all, yes, no, got 'yse'; did you mean yes?"),
+        (["--radio", "DSRC"], "; did you mean dsrc?"),
+        (["--traffic", "lihgt"], "; did you mean light?"),
+        (["--scenario", "left-turn"], "; did you mean left_turn?"),
+        (["--method", "stgraf"], "; did you mean stgraph?"),
+        (["--backend", "rya"], "; did you mean ray?"),
+        (["--method", "stgraph", "--models", "nowhere"], "stgraph needs training, and nowhere has no model of it"),
+        (["--method", "gat"], "gat needs training, and "),
     ],
 )
 def test_bad_input_is_refused_in_one_line(arguments: list[str], reason: str, refused: Refused, tmp_path: Path) -> None:
@@ -113,7 +124,9 @@ def test_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         evaluate.main(["--help"])
     assert stopped.value.code == 0
-    assert "--sensor-noise" in capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "--sensor-noise" in shown
+    assert f"Methods: {', '.join(METHODS)}. Scenarios: {', '.join(scenario_names())}." in shown
 
 
 def test_help_waits_for_no_heavy_import() -> None:

@@ -172,8 +172,8 @@ def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'"),
-        (["--method", "gta"], "unknown method 'gta'"),
+        (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'; did you mean quick?"),
+        (["--method", "gta"], "; did you mean gat?"),
         (["--shard", "3/2"], "shard must be i/n"),
         (["--shard", "1/2", "--merge"], "leave out --shard"),
         (["--jobs", "0"], "jobs must be"),

@@ -10,6 +10,7 @@ from baselines.evaluation.settings import Settings
 from baselines.methods import Method, how_to_train, method_named, shipped_models
 from baselines.references import is_reference, module_source
 from cad_env.config import RADIO_PRESETS, ConfigError
+from cad_env.files import MOST_DATA_BYTES, read_file
 from cad_env.types import Command, Policy
 
 MODEL_FILES = ("model.safetensors", "config.json")
@@ -48,7 +49,7 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
         if not folder.is_dir():
             raise ConfigError(_untrained(settings, name, folder))
         for file in MODEL_FILES:
-            known.update((folder / file).read_bytes() if (folder / file).exists() else b"")
+            known.update(read_file(folder / file, MOST_DATA_BYTES) if (folder / file).exists() else b"")
         known.update(_code_of_network(method).encode())
     if is_reference(name):
         known.update(module_source(name))

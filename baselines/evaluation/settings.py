@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from baselines.evaluation.grid import Task, grid, shard_of
+from baselines.evaluation.grid import MOST_EPISODES, Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
 from baselines.methods import SHIPPED_METHODS, shipped_models
 from cad_env.config import ConfigError, RadioConfig, SensorConfig, check_range, did_you_mean, radio_config
@@ -60,7 +60,7 @@ class Settings:
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
         if len({folder.name for folder in self.models}) < len(self.models):
             raise ValueError(f"models folders must have different names, got {' '.join(map(str, self.models))}")
-        check_range("episodes", self.episodes, 1, 10_000_000)
+        check_range("episodes", self.episodes, 1, MOST_EPISODES)
         check_range("first-seed", self.first_seed, 0, 2**40)
         check_range("jobs", self.jobs, 1, 256)
         check_range("gif", self.gif, 0, 1000)

@@ -13,6 +13,7 @@ from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.folder_note import claim
 from baselines.paper.presets import PRESETS
 from cad_env.config import ConfigError, check_range, did_you_mean
+from cad_env.files import replace_text
 from cad_env.version import version
 
 NOTE, FAILURES = "reproduce.json", "failures.txt"
@@ -132,7 +133,7 @@ def _note(path: Path, failures: Sequence[Failure], new: Sequence[Failure]) -> No
 
     path.unlink(missing_ok=True)
     if failures:
-        path.write_text("\n\n".join(f"{what}\n{story}" for what, story in failures) + "\n")
+        replace_text(path, "\n\n".join(f"{what}\n{story}" for what, story in failures) + "\n")
     for what, story in new:
         tqdm.write(f"failed: {what}: {_reason(story)}", file=sys.stderr)
 

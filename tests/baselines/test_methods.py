@@ -25,9 +25,10 @@ from baselines.paper.command import ReproduceSettings, plan_of
 from baselines.training.command import TrainSettings
 from cad_env.config import ConfigError
 from cad_env.envs.single import CADEnv
+from cad_env.files import FileError
 from cad_env.scoring.rollout import BatchPolicy, rollout
 from cad_env.types import BRAKE, GO, Policy
-from policies.model_folder import ModelError, SavedModel, save_model
+from policies.model_folder import SavedModel, save_model
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.policy import StGraphPolicy
 
@@ -112,7 +113,7 @@ def test_the_command_names_scenarios_that_do_not_ship() -> None:
 
 def test_a_damaged_model_is_refused(models: Path) -> None:
     os.truncate(models / "stgraph" / "model.safetensors", 100)
-    with pytest.raises(ModelError, match="truncated or altered"):
+    with pytest.raises(FileError, match="truncated or altered"):
         policy_of("stgraph", models)
 
 

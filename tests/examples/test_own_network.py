@@ -6,7 +6,8 @@ import pytest
 
 import evaluate
 import train
-from policies.model_folder import ModelError, load_model
+from cad_env.files import FileError
+from policies.model_folder import load_model
 
 FOLDER = Path(__file__).parents[2] / "examples" / "own_network"
 NAME = "my_network:SPEC"
@@ -38,7 +39,7 @@ def test_a_file_cannot_ask_for_an_import(tmp_path: Path) -> None:
     source = FOLDER.parents[1] / "policies" / "weights" / "all" / "stgraph"
     for name in ("model.safetensors", "config.json"):
         (tmp_path / name).write_bytes((source / name).read_bytes().replace(b'"spec": "stgraph"', b'"spec": "os:path"'))
-    with pytest.raises(ModelError, match="unknown spec 'os:path'"):
+    with pytest.raises(FileError, match="unknown spec 'os:path'"):
         load_model(tmp_path)
 
 

@@ -9,7 +9,8 @@ import pytest
 import safetensors.torch
 import torch
 
-from policies.model_folder import CONFIG, WEIGHTS, ModelError, SavedModel, load_model, save_model
+from cad_env.files import FileError
+from policies.model_folder import CONFIG, WEIGHTS, SavedModel, load_model, save_model
 from policies.stgraph.network import StGraphConfig, StGraphNet
 
 torch.set_num_threads(1)
@@ -39,7 +40,7 @@ def change_weights(folder: Path, name: str, value: torch.Tensor | None) -> None:
 
 
 def assert_refused(folder: Path, file: str, reason: str) -> None:
-    with pytest.raises(ModelError) as caught:
+    with pytest.raises(FileError) as caught:
         load_model(folder)
     message = str(caught.value)
     assert file in message
@@ -185,7 +186,7 @@ def test_bytes_that_are_not_safetensors_are_refused(folder: Path) -> None:
     ("threshold", "training"), [(2.0, {}), (0.5, {"loss": float("nan")}), (0.5, {"rng": object()})]
 )
 def test_what_cannot_be_saved_leaves_the_old_model(folder: Path, threshold: float, training: dict[str, object]) -> None:
-    with pytest.raises(ModelError):
+    with pytest.raises(FileError):
         save_model(folder, SavedModel(StGraphNet(), threshold, training))
     assert load_model(folder).threshold == 0.3
 
@@ -193,12 +194,12 @@ def test_what_cannot_be_saved_leaves_the_old_model(folder: Path, threshold: floa
 def test_weights_that_are_not_finite_are_not_saved(tmp_path: Path) -> None:
     network = StGraphNet()
     network.project.bias.data[0] = torch.inf
-    with pytest.raises(ModelError, match="not finite"):
+    with pytest.raises(FileError, match="not finite"):
         save_model(tmp_path, SavedModel(network, 0.5))
     assert not list(tmp_path.iterdir())
 
 
 def test_an_error_comes_whole_out_of_another_process():
-    error = pickle.loads(pickle.dumps(ModelError(Path("run") / "config.json", "not JSON:\n line 1")))
-    assert str(error) == str(ModelError(Path("run") / "config.json", "not JSON:\n line 1"))
+    error = pickle.loads(pickle.dumps(FileError(Path("run") / "config.json", "not JSON:\n line 1")))
+    assert str(error) == str(FileError(Path("run") / "config.json", "not JSON:\n line 1"))
     assert str(error) == f"{Path('run') / 'config.json'}: not JSON: line 1"

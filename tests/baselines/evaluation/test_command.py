@@ -201,3 +201,16 @@ def test_a_run_of_other_scenarios_is_another_run(refused: Refused, tmp_path: Pat
     Store(tmp_path, other)
     some = ["--scenario", "left_turn", "--method", "expert", "--episodes", "1"]
     assert 'another scenario (["left_turn", "overtaking"], now ["left_turn"])' in refused(tmp_path, *some)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locales as POSIX has them")
+def test_a_run_whose_names_no_locale_can_write_ends_well(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "cp1252"}
+    out = tmp_path / "results_训练"
+    command = [sys.executable, evaluate.__file__, "--scenario", "left_turn", "--method", "always-go"]
+    done = subprocess.run(
+        [*command, "--episodes", "1", "--out", str(out)], env=environment, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr.count(b"Error")) == (0, 0)
+    assert b"results_\\u8bad\\u7ec3" in done.stdout
+    assert (out / "report.html").exists()

@@ -10,10 +10,11 @@ import pytest
 import torch
 
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import FileError
 from cad_env.scenarios import SCENARIOS
 from cad_env.scoring.rollout import Episode
 from cad_env.types import BRAKE, Policy
-from policies.model_folder import ModelError, load_model
+from policies.model_folder import load_model
 from policies.spec import Frames
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.spec import SPEC
@@ -265,6 +266,6 @@ def test_a_damaged_checkpoint_is_refused_with_its_name(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for broken in (b"", whole[:100], whole[:-4], b"not safetensors"):
         path.write_bytes(broken)
-        with pytest.raises(ModelError, match=r"state\.safetensors: not a checkpoint") as error:
+        with pytest.raises(FileError, match=r"state\.safetensors: not a checkpoint") as error:
             load_state(path, network, optimiser)
         assert "\n" not in str(error.value)

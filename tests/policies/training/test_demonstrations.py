@@ -10,6 +10,7 @@ import pytest
 
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import FileError
 from cad_env.rules.expert import Expert
 from cad_env.types import BRAKE, Observation
 from policies.stgraph.network import StGraphNet
@@ -19,7 +20,6 @@ from policies.training import demonstrations as demonstrations
 from policies.training.demonstrations import (
     Demonstrations,
     ReplayError,
-    ShardError,
     joined,
     read_shard,
     record,
@@ -163,9 +163,9 @@ def test_a_shard_that_another_process_finishes_meanwhile_is_no_error(
 
 
 def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded: Demonstrations) -> None:
-    with pytest.raises(ShardError, match="holds other episodes"):
+    with pytest.raises(FileError, match="holds other episodes"):
         record(folder, CADVectorEnv(1), None, range(5), lambda n: None)
-    with pytest.raises(ShardError, match="has traffic 'light', not 'dense'"):
+    with pytest.raises(FileError, match="has traffic 'light', not 'dense'"):
         record(folder, CADVectorEnv(1, traffic="dense"), None, range(6), lambda n: None)
 
 
@@ -185,7 +185,7 @@ def test_a_damaged_shard_is_refused_with_its_name(damage: str, recorded: Demonst
         path.unlink()
     else:
         path.write_bytes(broken[damage])
-    with pytest.raises(ShardError, match="shard_00000") as error:
+    with pytest.raises(FileError, match="shard_00000") as error:
         read_shard(path, MADE_WITH)
     assert "\n" not in str(error.value)
 
@@ -193,5 +193,5 @@ def test_a_damaged_shard_is_refused_with_its_name(damage: str, recorded: Demonst
 def test_a_shard_whose_arrays_do_not_fit_is_refused(recorded: Demonstrations, tmp_path: Path) -> None:
     path = tmp_path / "shard.npz"
     write_shard(path, replace(recorded, label=recorded.label[:-1]), MADE_WITH)
-    with pytest.raises(ShardError, match="do not fit"):
+    with pytest.raises(FileError, match="do not fit"):
         read_shard(path, MADE_WITH)

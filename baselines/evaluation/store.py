@@ -37,11 +37,11 @@ class Store:
     """The results in a folder."""
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
-        """Open or make the folder; ValueError or OSError if it is damaged, of other settings or not writable."""
+        """Open or make the folder; ConfigError or OSError if it is damaged, of other settings or not writable."""
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / EPISODES).exists() and not (folder / SETTINGS).exists():
-            raise ValueError(f"{folder} has episodes but no {SETTINGS}: use another folder")
+            raise ConfigError(f"{folder} has episodes but no {SETTINGS}: use another folder")
         claim(folder / SETTINGS, settings, "use another folder or delete that one")
         _make_appendable(folder / EPISODES)
         self.records = {key_of(record): record for record in read_records(folder)}
@@ -174,11 +174,11 @@ class Merging:
 
     def __post_init__(self) -> None:
         if not self.merge:
-            raise ValueError("merge must name at least one folder")
+            raise ConfigError("merge must name at least one folder")
 
 
 def merged(merging: Merging) -> list[Scorecard]:
-    """The scores of all shards, written to `out`. ValueError or OSError, one line, if they are not of one run."""
+    """The scores of all shards, written to `out`. ConfigError or OSError, one line, if they are not of one run."""
     settings = _one_run(merging.merge)
     keys = _keys(settings)
     records = {key_of(record): record for folder in merging.merge for record in read_records(folder)}
@@ -186,7 +186,7 @@ def merged(merging: Merging) -> list[Scorecard]:
     if missing:
         scenario, method, seed = missing[0]
         which = f"{len(missing)} of {len(keys)} episodes, such as seed {seed} of {method} in {scenario}"
-        raise ValueError(f"these folders lack {which}: finish every shard and name them all")
+        raise ConfigError(f"these folders lack {which}: finish every shard and name them all")
     store = Store(merging.out, settings)
     store.records = records
     rows = scorecards(store.put_in_order(keys))
@@ -200,7 +200,7 @@ def _one_run(folders: Sequence[Path]) -> dict[str, Any]:
     for folder, other in zip(folders, settings, strict=True):
         change = difference(settings[0], other)
         if change:
-            raise ValueError(f"{folder} is of another run than {folders[0]}: {change}")
+            raise ConfigError(f"{folder} is of another run than {folders[0]}: {change}")
     return {name: value for name, value in settings[0].items() if name != "shard"}
 
 

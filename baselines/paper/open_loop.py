@@ -46,15 +46,16 @@ class OpenEpisode:
 
     def __post_init__(self) -> None:
         scores = self.brake_probability
+        frames = len(self.labels) if isinstance(self.labels, str) else 0
         sound = {
             "seed": type(self.seed) is int and self.seed >= 0,
             "hazard": isinstance(self.hazard, bool),
-            "labels": isinstance(self.labels, str) and set(self.labels) <= {"0", "1"} and self.labels != "",
+            "labels": isinstance(self.labels, str) and set(self.labels) <= {"0", "1"} and frames > 0,
             "answers": isinstance(self.answers, str)
             and set(self.answers) <= {"0", "1"}
-            and len(self.answers) == len(self.labels),
+            and len(self.answers) == frames,
             "brake_probability": scores is None
-            or (len(scores) == len(self.labels) and all(type(p) in (int, float) and 0 <= p <= 1 for p in scores)),
+            or (len(scores) == frames and all(type(p) in (int, float) and 0 <= p <= 1 for p in scores)),
             **{name: is_count(getattr(self, name)) for name in ("messages", "bytes", "largest")},
         }
         for name, valid in sound.items():

@@ -58,8 +58,8 @@ class Record:
     def _fields_valid(self) -> dict[str, bool]:
         counts = ("brakes", "messages_sent", "messages_lost", "bytes_total", "connected")
         return {
-            "scenario": isinstance(self.scenario, str),
-            "method": isinstance(self.method, str),
+            "scenario": _is_text(self.scenario),
+            "method": _is_text(self.method),
             "seed": type(self.seed) is int and self.seed >= 0,  # of any size
             **{name: is_count(getattr(self, name)) for name in counts},
             "hazard": isinstance(self.hazard, bool),
@@ -80,6 +80,11 @@ class Record:
 def is_count(value: object) -> bool:
     """Whether a value is a whole number from 0 to `MOST`."""
     return type(value) is int and 0 <= value <= MOST
+
+
+def _is_text(value: object) -> bool:
+    """Whether it is text that can be written and drawn: no half of a pair of code units."""
+    return isinstance(value, str) and not any("\ud800" <= letter <= "\udfff" for letter in value)
 
 
 def _is_number(value: object) -> bool:

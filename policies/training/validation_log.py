@@ -11,8 +11,8 @@ from cad_env.files import FileError, parse_json, read_rows, replace_text, shorte
 from cad_env.scoring.rollout import Episode
 from policies.training.cloning import Worth
 
-MOST = 10**9  # of anything counted, and seconds
-_MEASURED = {"loss": MOST, "threshold": 1, "mean_time": MOST}  # and the most; the other columns count
+_MOST = 10**9  # of anything counted, and seconds
+_MEASURED = {"loss": _MOST, "threshold": 1, "mean_time": _MOST}  # and the most; the other columns count
 _NO_NUMBER = ("nan", "inf", "-inf")
 
 
@@ -103,7 +103,7 @@ def _value(column: str, text: str) -> str | int | float:
         value = parse_json(text)
     except ConfigError:
         value = None
-    kinds, most = ((int, float), _MEASURED[column]) if column in _MEASURED else ((int,), MOST)
+    kinds, most = ((int, float), _MEASURED[column]) if column in _MEASURED else ((int,), _MOST)
     if type(value) in kinds and 0 <= value <= most:
         found: int | float = value
         return found

@@ -1,9 +1,11 @@
 """Progress is shown on a terminal and without one; help names the choices; what is said fits any locale."""
 
+import ast
 import io
 import sys
 import time
 from io import StringIO
+from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -88,3 +90,17 @@ def test_bytes_that_a_locale_keeps_are_written_as_they_came(monkeypatch: pytest.
     cli.say(b"\xe8\xae\xad".decode("ascii", "surrogateescape"))
     stream.flush()
     assert written.getvalue() == b"\xe8\xae\xad\n"
+
+
+def said_without_help(path: Path) -> list[str]:
+    """Where a source file prints to standard output by itself."""
+    calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    bare = [call for call in calls if getattr(call.func, "id", "") == "print" and not call.keywords]
+    return [f"{path.name}:{call.lineno}" for call in bare]
+
+
+def test_commands_print_by_say_only() -> None:
+    package = Path(cli.__file__).parent
+    found = [place for path in package.rglob("*.py") if path.name != "cli.py" for place in said_without_help(path)]
+    assert found == []
+    assert len(said_without_help(package / "cli.py")) == 1

@@ -32,7 +32,7 @@ def test_it_learns_and_is_scored_beside_the_rules(tmp_path: Path, capsys: pytest
         evaluate.main(["--method", NAME, "--models", str(tmp_path), "--episodes", "1", "--out", str(tmp_path / "x")])
         == 2
     )
-    assert "train.py --method my_network:SPEC trains it" in capsys.readouterr().err
+    assert "`python train.py --method my_network:SPEC --out runs/my_network_SPEC` trains it" in capsys.readouterr().err
 
 
 def test_a_file_cannot_ask_for_an_import(tmp_path: Path) -> None:

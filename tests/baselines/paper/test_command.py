@@ -1,6 +1,9 @@
 """One command makes all tables; here with as little of everything as there can be."""
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -239,6 +242,17 @@ def test_a_reason_is_one_line_however_many_its_error_has() -> None:
     story = reproduce._attempt(load)
     assert reproduce._reason(story) == "RuntimeError: Error(s) in loading: Missing key"
     assert "Traceback" in story
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locales as POSIX has them")
+def test_failures_are_noted_in_a_locale_without_their_letters(tmp_path: Path) -> None:
+    code = "from baselines.paper.command import _note; from pathlib import Path; import sys; "
+    code += r"found = [('train \u2264', 'loss \u2264 1\nTraceback \u8bad')]; _note(Path(sys.argv[1]), found, found)"
+    plain = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-c", code, str(tmp_path / "failures.txt")]
+    done = subprocess.run(command, env=plain, capture_output=True, check=True, cwd=Path(__file__).parents[3])
+    assert (tmp_path / "failures.txt").read_text(encoding="utf-8") == "train ≤\nloss ≤ 1\nTraceback 训\n"
+    assert done.stderr == b"failed: train \\u2264: loss \\u2264 1\n"
 
 
 @pytest.mark.slow

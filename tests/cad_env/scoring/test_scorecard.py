@@ -56,6 +56,7 @@ def test_a_record_survives_its_line(record: Record) -> None:
     {"seed": -1}, {"seed": 1.5}, {"seed": True}, {"hazard": 1}, {"outcome": "crash"}, {"outcome": None},
     {"outcome": []}, {"time": -0.1}, {"time": "9"}, {"time": None}, {"brakes": None}, {"bytes_per_message_mean": "x"},
     {"bytes_per_message_max": 1.5}, {"min_ttc": -1}, {"scenario": 3}, {"method": None}, {"messages_lost": "0"},
+    {"scenario": "\ud800"}, {"method": "a\udce8"},
     {"time": 10**400}, {"brakes": 10**400}, {"bytes_total": 2**53 + 1}, {"hardest_brake": 1e300}, {"min_ttc": 10**309},
     {"hazard_timing": "0"}, {"connected": 1.5}, {"connected": None}, {"hardest_brake": -1.0}, {"hardest_brake": None},
 ])  # fmt: skip

@@ -144,7 +144,7 @@ def checked_layers(layers: Any) -> tuple[str, ...]:
     >>> checked_layers(["sight", "x-ray"])
     Traceback (most recent call last):
     ...
-    ValueError: unknown layer 'x-ray': choose among sight, known, links, tracks, outcome
+    cad_env.config.ConfigError: unknown layer 'x-ray': choose among sight, known, links, tracks, outcome
     """
     if isinstance(layers, str) or not isinstance(layers, tuple | list):
         raise ValueError(f"layers must be a tuple of names among {', '.join(LAYERS)}, got {layers!r}")

@@ -24,7 +24,7 @@ class StGraphConfig:
 
     >>> StGraphConfig(fusion="first")
     Traceback (most recent call last):
-    ValueError: network fusion must be one of last, per_layer, got 'first'
+    cad_env.config.ConfigError: network fusion must be one of last, per_layer, got 'first'
     """
 
     hidden: int = 12  # columns of W_v

@@ -6,18 +6,17 @@ import io
 import math
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import Any, TypeVar
 
 import tyro
 
-from cad_env.config import ConfigError, did_you_mean
-
-INTERRUPTED = 130  # the exit code that shells give to a command ended by Ctrl-C
-
+from baselines.signals import exit_code
+from cad_env.checks import ConfigError, did_you_mean
 
 Parsed = TypeVar("Parsed")
 
@@ -31,6 +30,7 @@ def parsed(
     takes: one that is misspelt may have meant them.
     """
     words = sys.argv[1:] if argv is None else argv
+    _refuse_empty(words)
     about = _writable(f"{inspect.getdoc(kind)}\n\n{choices()}") if {"-h", "--help"} & set(words) else None
     box = io.StringIO()
     try:
@@ -78,6 +78,14 @@ def _writable(text: str) -> str:
     return text
 
 
+def _refuse_empty(words: Sequence[str]) -> None:
+    """Refuse an option whose value is an empty text, which as a path would be the current folder."""
+    for before, word in pairwise(["", *words]):
+        option, equals, value = word.partition("=")
+        if not word or (equals and not value and option.startswith("--")):
+            raise ConfigError(f"{(option or before or 'an argument').removeprefix('--')} must not be empty, got ''")
+
+
 def _first_part(box: str, kind: str) -> str:
     """tyro's message without the frame around it, the title above and the advice below, each behind a rule."""
     lines = [line.strip("│ ") for line in box.splitlines()[1:]]
@@ -87,10 +95,9 @@ def _first_part(box: str, kind: str) -> str:
 
 def stopped(error: BaseException, where: str = "") -> int:
     """Print how to resume; return the exit code."""
-    interrupted = isinstance(error, KeyboardInterrupt)
-    how = "stopped" if interrupted else "error: a worker process died"
+    how = "stopped" if isinstance(error, KeyboardInterrupt) else "error: a worker process died"
     print(f"{how}{where}; run the same command to resume", file=sys.stderr)
-    return INTERRUPTED if interrupted else 1
+    return exit_code(error) if isinstance(error, KeyboardInterrupt) else 1
 
 
 def refused(error: Exception) -> int:
@@ -113,34 +120,42 @@ class Progress:
         from tqdm import tqdm  # here, so that --help is quick
 
         self._total, self._what, self._done = total, what, done
-        self._begun = self._said = time.monotonic()
+        self._begun = time.monotonic()
         self._first = done
         terminal = sys.stderr.isatty()
         self._bar = tqdm(total=total, initial=done, desc=what, bar_format=BAR, disable=not terminal)
-        self._silent = terminal
+        self._over = threading.Event()
+        self._teller = None if terminal else threading.Thread(target=self._tell, daemon=True)
 
     def __enter__(self) -> "Progress":
+        if self._teller is not None:
+            self._teller.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._teller is not None:
+            self._teller.join()  # no line comes after the end
         self._bar.close()
 
     def update(self, done: float) -> None:
         """So much more has been done."""
         self._done += done
         self._bar.update(done)
-        now = time.monotonic()
-        if not self._silent and now - self._said >= LINE_EVERY:
-            self._said = now
-            print(self._line(now), file=sys.stderr, flush=True)
 
     def describe(self, what: str) -> None:
         """Another stage begins."""
         self._what = what
         self._bar.set_description(what)
 
-    def _line(self, now: float) -> str:
+    def _tell(self) -> None:
+        """In a thread of its own, because a piece of work may take longer than the time between two lines."""
+        while not self._over.wait(LINE_EVERY):
+            print(self._line(), file=sys.stderr, flush=True)
+
+    def _line(self) -> str:
         """E.g. `training 42 %, about 3 min left`."""
+        now = time.monotonic()
         share = min(self._done / self._total, 1.0) if self._total else 1.0
         here = self._done - self._first
         rest = (self._total - self._done) * (now - self._begun) / here if here >= 0.01 * self._total else math.inf

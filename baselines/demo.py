@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from baselines.cli import parsed, refused, say, stopped
+from baselines.signals import sigterm_as_ctrl_c
 
 METHODS_SHOWN = ("always-go", "stgraph-own", "stgraph", "expert")
 
@@ -18,6 +19,7 @@ class Demo:
     jobs: int = 2  # processes
 
 
+@sigterm_as_ctrl_c()
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:

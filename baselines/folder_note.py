@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.files import FileError, read_json_object, replace_text, shortened
 
 MAY_DIFFER = ("command",)  # it is for readers: several commands give the same results

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any
 
 from baselines.references import is_reference, resolved
-from cad_env.config import ConfigError, did_you_mean
+from cad_env.checks import ConfigError, did_you_mean
 from cad_env.types import BRAKE, FRAMES, GO, Policy
 
 KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")

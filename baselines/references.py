@@ -7,7 +7,7 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from cad_env.config import did_you_mean
+from cad_env.checks import did_you_mean
 
 _FORM = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?P<call>\(.*\))?", re.DOTALL)
 

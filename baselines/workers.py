@@ -1,4 +1,4 @@
-"""Worker processes: they ignore Ctrl-C, and end when the process that started them ends, however that happens."""
+"""Worker processes: they ignore Ctrl-C and SIGTERM, and end with the process that started them, however it ends."""
 
 import multiprocessing
 import os
@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from multiprocessing.queues import Queue
 from typing import Any
+
+from baselines.signals import STOPPING, signals_held
 
 _told: "Queue[Any] | None" = None  # in a worker: where `tell` puts its reports
 
@@ -28,7 +30,7 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
     progress: Queue[Any] = context.Queue()
     pool = ProcessPoolExecutor(count, context, _start, (lifeline, progress, registered_scenarios()))
     try:
-        with _interrupts_held():
+        with signals_held():
             for _ in range(count):
                 pool.submit(int)  # nothing to do, but it starts a process
         yield pool, progress
@@ -36,9 +38,11 @@ def workers(count: int) -> "Iterator[tuple[ProcessPoolExecutor, Queue[Any]]]":
         held.close()  # the workers stop at once, in the middle of a task
         raise
     finally:
-        pool.shutdown(cancel_futures=True)
-        held.close()
-        lifeline.close()
+        try:
+            pool.shutdown(cancel_futures=True)
+        finally:
+            held.close()
+            lifeline.close()
 
 
 def registered_scenarios() -> tuple[Any, ...]:
@@ -84,19 +88,6 @@ def heard(progress: "Queue[Any]") -> list[Any]:
         return []
 
 
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Processes started inside never see Ctrl-C; this process gets it afterwards."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows: a worker ignores it once it has started
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _start(lifeline: Connection, progress: "Queue[Any]", scenarios: "Sequence[Any]") -> None:
     global _told
     _told = progress
@@ -104,7 +95,8 @@ def _start(lifeline: Connection, progress: "Queue[Any]", scenarios: "Sequence[An
     # returns everything anyway; reports only come earlier.
     progress.cancel_join_thread()
     register_scenarios(scenarios)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for each in STOPPING:  # a terminal, docker and clusters send them to every process of a command
+        signal.signal(each, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 
 

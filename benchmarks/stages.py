@@ -15,7 +15,7 @@ from cad_env.pipeline.sense import CENTRE_HEIGHT, fix_pose, outline, sense
 from cad_env.pipeline.step import SENSE, _rows_at, _tracks_at, deliver, fuse, show
 from cad_env.pipeline.track import confirmed, seen_now, update
 from cad_env.simulation.batch import SceneBatch
-from cad_env.simulation.scene_step import scene_at, tell
+from cad_env.simulation.scene_step import scene_at, write_step_info
 from cad_env.simulation.setup import setup_from
 from cad_env.types import FRAMES, STEP
 from cad_env.world.step import advance
@@ -86,7 +86,7 @@ def _radio(scene):
             fleet.buffer[k] = fleet.air.payload[slot, v, k]
         place = scene.world.position[fleet.rows[v]]
         send(fleet.air, scene.link, step, v, fleet.buffer, size, place[0], place[1])
-    deliver(fleet, scene.link, scene.keys[1], step)
+    deliver(scene.world, fleet, scene.link, scene.keys[1], step)
 
 
 @numba.njit
@@ -103,7 +103,7 @@ def _observe(scene):
 
 @numba.njit
 def _outcome(scene):
-    tell(scene)
+    write_step_info(scene)
 
 
 def _looped(stage: Callable[..., None]) -> Callable[..., None]:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 from cad_env.config import RADIO_PRESETS, RadioConfig, SensorConfig
-from cad_env.types import BRAKE, GO, Command, Graph, Policy
+from cad_env.types import BRAKE, GO, MAX_STEPS, Command, Graph, Policy
 
 if TYPE_CHECKING:
     from cad_env.envs.parallel import CADParallelEnv
@@ -96,6 +96,7 @@ for _id, _scenario in _IDS.items():
             _id,
             entry_point="cad_env.envs.single:CADEnv",
             vector_entry_point="cad_env.envs.vector:CADVectorEnv",
+            max_episode_steps=MAX_STEPS,
             kwargs={"scenario": _scenario},
         )
 

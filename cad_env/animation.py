@@ -1,12 +1,16 @@
 """Episodes as moving pictures: drive and film one, put two side by side, write a GIF."""
 
+import io
 from collections.abc import Iterable, Sequence
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 import PIL.Image
 
+from cad_env.checks import check_path
 from cad_env.envs.single import CADEnv
+from cad_env.files import replace_file
 from cad_env.rendering.layers import Layer
 from cad_env.rendering.viewer import picture
 from cad_env.scoring.rollout import Episode, rollout
@@ -37,8 +41,12 @@ def side_by_side(left: Sequence[Image], right: Sequence[Image]) -> list[Image]:
     return [np.concatenate([a, gap, b], axis=1) for a, b in pairs]
 
 
-def write_gif(frames: Iterable[Image], path: Path, hold: float = HOLD) -> Path:
-    """Frames 0.1 s apart as a GIF that repeats; all share one palette, so that what stands still costs nothing."""
+def write_gif(frames: Iterable[Image], path: str | PathLike[str], hold: float = HOLD) -> Path:
+    """Frames 0.1 s apart as a GIF that repeats; all share one palette, so that what stands still costs nothing.
+
+    The file is written whole or not at all. ValueError for a film without frames.
+    """
+    path = check_path("path", path)
     images = [PIL.Image.fromarray(frame) for frame in frames]
     if not images:
         raise ValueError(f"a film without frames cannot be written to {path}")
@@ -46,8 +54,10 @@ def write_gif(frames: Iterable[Image], path: Path, hold: float = HOLD) -> Path:
     reduced = [image.quantize(palette=palette, dither=PIL.Image.Dither.NONE) for image in images]
     step = round(1000 * STEP)
     times = [step] * (len(reduced) - 1) + [step + round(1000 * hold)]
+    film = io.BytesIO()
+    reduced[0].save(film, "GIF", save_all=True, append_images=reduced[1:], duration=times, loop=0, optimize=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    reduced[0].save(path, save_all=True, append_images=reduced[1:], duration=times, loop=0, optimize=True)
+    replace_file(path, film.getvalue())
     return path
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 
 MOST_BYTES = 2**26  # of a file of settings or a table
 MOST_DATA_BYTES = 2**34  # of a file of episodes, arrays, weights or pictures
@@ -53,7 +53,7 @@ def replace_file(path: Path, data: bytes) -> None:
         os.chmod(name, 0o644)  # mkstemp lets nobody else read
         os.replace(name, path)
     except BaseException:
-        os.unlink(name)
+        Path(name).unlink(missing_ok=True)  # an interruption may come when it has just been renamed
         raise
 
 
@@ -117,7 +117,7 @@ def parse_json(text: str | bytes) -> Any:
 
     >>> parse_json('{"radio": {"loss": [0.5, 1e999]}}')
     Traceback (most recent call last):
-    cad_env.config.ConfigError: radio.loss[1] must be a finite number, got inf
+    cad_env.checks.ConfigError: radio.loss[1] must be a finite number, got inf
     """
     try:
         decoded = text.decode("utf-8") if isinstance(text, bytes) else text

@@ -24,6 +24,7 @@ CAR, TRUCK = 0, 1
 SUCCESS, COLLISION, TIMEOUT = OUTCOMES = ("success", "collision", "timeout")
 
 STEP = 0.1  # s, one decision
+MAX_STEPS = 300  # decisions, after which time is up: 30 s
 FRAMES = 15  # frames in a graph window: 1.5 s at 10 Hz
 MAX_TRACKS = 32  # tracks a vehicle can hold at once, its own body included
 MAX_MERGED_TRACKS = 64  # tracks a merged graph can hold

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from cad_env.config import check_range
+from cad_env.checks import check_numbers
 from cad_env.types import COMMANDS, MOST_COMMANDS, Floats
 from policies.observation_spec import ObservationSpec
 from policies.threshold_policy import ThresholdPolicy
@@ -26,8 +26,7 @@ class CommandConfig:
     commands: int = COMMANDS  # of the scenarios it drives in
 
     def __post_init__(self) -> None:
-        check_range("network width", self.width, 1, 1024)
-        check_range("network commands", self.commands, COMMANDS, MOST_COMMANDS)
+        check_numbers(self, "network", {"width": (1, 1024), "commands": (COMMANDS, MOST_COMMANDS)})
 
 
 class CommandNet(nn.Module):

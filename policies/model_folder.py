@@ -15,7 +15,7 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
-from cad_env.config import check_range, did_you_mean
+from cad_env.checks import check_path, check_range, did_you_mean, plain
 from cad_env.files import MOST_DATA_BYTES, FileError, read_file, read_json_object, replace_file, replace_text, shortened
 from cad_env.types import COMMANDS
 from policies.registry import spec_named
@@ -50,7 +50,7 @@ def save_model(folder: str | Path, model: SavedModel) -> None:
 
     Raises FileError for weights that are not finite, a threshold outside [0, 1] or training notes that JSON refuses.
     """
-    folder = Path(folder)
+    folder = check_path("folder", folder)
     weights = {name: value.detach().float().contiguous() for name, value in model.network.state_dict().items()}
     _check_finite(folder / WEIGHTS, weights)
     data = safetensors.torch.save(weights)
@@ -58,7 +58,7 @@ def save_model(folder: str | Path, model: SavedModel) -> None:
         "format": FORMAT,
         "spec": model.spec.name,
         "network": asdict(_config_of(model.network)),
-        "threshold": model.threshold,
+        "threshold": plain(model.threshold),
         "sha256": hashlib.sha256(data).hexdigest(),
         "training": model.training,
     }
@@ -78,7 +78,7 @@ def _config_of(network: nn.Module) -> Any:
 
 def load_model(folder: str | Path) -> SavedModel:
     """Read a model folder; any damage, and a spec that is not registered, raises FileError."""
-    folder = Path(folder)
+    folder = check_path("folder", folder)
     config = _read_config(folder / CONFIG)
     data = read_file(folder / WEIGHTS, MOST_DATA_BYTES)
     if hashlib.sha256(data).hexdigest() != config["sha256"]:

@@ -5,7 +5,7 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from cad_env.config import ConfigError, did_you_mean
+from cad_env.checks import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
     from policies.spec import NetworkSpec

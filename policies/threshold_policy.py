@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from cad_env.config import check_range
+from cad_env.checks import check_range
 from cad_env.types import Floats, Ints, Observation
 
 _CLOUDS_AT_ONCE = 64  # scenes in one pass
@@ -25,8 +25,8 @@ class ThresholdPolicy:
     privileged = False
 
     def __init__(self, keys: Sequence[str], threshold: float, commands: int | None = None) -> None:
-        check_range("threshold", threshold, 0.0, 1.0)
-        self.keys, self.threshold, self.commands = tuple(keys), threshold, commands
+        self.threshold = check_range("threshold", threshold, 0.0, 1.0)
+        self.keys, self.commands = tuple(keys), commands
 
     def reset(self, seed: int) -> None:
         """Nothing to forget and nothing to draw: all memory is in the observation."""

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 from baselines.cli import parsed, refused, say, stopped
 from baselines.evaluation.settings import Settings
 from baselines.methods import choices
+from baselines.signals import sigterm_as_ctrl_c
 
 if TYPE_CHECKING:
     from baselines.evaluation.store import Store
     from cad_env.scoring.scorecard import Scorecard
 
 
+@sigterm_as_ctrl_c()
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     words = sys.argv[1:] if argv is None else argv

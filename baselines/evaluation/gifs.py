@@ -1,11 +1,15 @@
 """Episodes of a scoring run as GIFs: driven again, drawn, and compared with their records."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import as_completed
+from functools import partial
 from pathlib import Path
 
+from baselines.cli import Progress
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.evaluation.store import gif_name
+from baselines.workers import workers
 from cad_env.animation import filmed, write_gif
 from cad_env.envs.single import CADEnv
 from cad_env.rendering.danger import danger
@@ -17,11 +21,30 @@ _SIZE = 2.0 / 3.0  # of the size of a picture
 
 
 def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, count: int) -> list[Path]:
-    """`<scenario>_<method>_<outcome>_<seed>.gif` in `folder` for `count` episodes of each such kind.
+    """`<scenario>_<method>_<outcome>_<seed>.gif` in `folder` for `count` episodes of each such kind; their paths.
 
-    ValueError if an episode does not end as its record says: it was made with other settings, models or code.
+    They are made by `settings.jobs` processes, and progress is shown. ValueError if an episode does not end as its
+    record says: it was made with other settings, models or code.
     """
-    return [write_film(settings, record, folder) for record in first_of_each(records, count)]
+    chosen = first_of_each(records, count)
+    with Progress(len(chosen), "drawing") as bar:
+        for done in _drawn(settings, chosen, folder):
+            bar.update(done)
+    return [folder / gif_name(record) for record in chosen]
+
+
+def _drawn(settings: Settings, records: Sequence[Record], folder: Path) -> Iterator[int]:
+    """Write the GIFs; a one for each."""
+    draw = partial(write_film, settings, folder=folder)
+    if settings.jobs == 1 or len(records) <= 1:
+        for record in records:
+            draw(record)
+            yield 1
+        return
+    with workers(min(settings.jobs, len(records))) as (pool, _):
+        for drawn in as_completed([pool.submit(draw, record) for record in records]):
+            drawn.result()
+            yield 1
 
 
 def first_of_each(records: Iterable[Record], count: int) -> list[Record]:

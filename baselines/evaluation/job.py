@@ -9,7 +9,9 @@ from typing import Any
 from baselines.evaluation.settings import Settings
 from baselines.methods import Method, how_to_train, method_named, shipped_models
 from baselines.references import is_reference, module_source
-from cad_env.config import RADIO_PRESETS, ConfigError
+from baselines.signals import import_whole
+from cad_env.checks import ConfigError
+from cad_env.config import RADIO_PRESETS
 from cad_env.files import MOST_DATA_BYTES, read_file
 from cad_env.types import Command, Policy
 
@@ -45,6 +47,7 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
     if method.model is None and not is_reference(name):
         return None
     if method.model is not None:
+        import_whole("policies.model_folder")
         folder = settings.models_folder() / method.model
         if not folder.is_dir():
             raise ConfigError(_untrained(settings, name, folder))

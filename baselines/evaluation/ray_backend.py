@@ -6,6 +6,7 @@ from concurrent.futures import BrokenExecutor
 from importlib.util import find_spec
 from typing import TypeVar
 
+from baselines.signals import sigterm_handler_kept
 from baselines.workers import register_scenarios, registered_scenarios
 
 _Task = TypeVar("_Task")
@@ -24,14 +25,16 @@ def on_ray(work: Callable[[_Task], _Result], tasks: Sequence[_Task], jobs: int) 
     Ray repeats a task whose worker has died; BrokenExecutor if that happens again and again. `jobs` is the number of
     cores to use on this machine; on a cluster every task takes one.
     """
-    import ray
+    with sigterm_handler_kept():
+        import ray
     from ray.exceptions import RayError, RayTaskError
 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     started_here = not ray.is_initialized()
     if started_here:
         cores = None if os.environ.get("RAY_ADDRESS") else jobs
-        ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="error")
+        with sigterm_handler_kept():  # ray sets its own, which ends the process where it is
+            ray.init(num_cpus=cores, include_dashboard=False, log_to_driver=False, logging_level="error")
     try:
         scenarios = registered_scenarios()
 

@@ -9,12 +9,28 @@ from typing import Any
 from baselines.evaluation.grid import MOST_EPISODES, Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
 from baselines.methods import SHIPPED_METHODS, shipped_models
-from cad_env.config import ConfigError, RadioConfig, SensorConfig, check_range, did_you_mean, radio_config
+from cad_env.checks import (
+    ConfigError,
+    check_numbers,
+    check_path,
+    check_seed,
+    check_several,
+    check_switch,
+    check_text,
+    did_you_mean,
+    plain,
+    settle,
+)
+from cad_env.config import RadioConfig, SensorConfig, radio_config
 from cad_env.types import FRAMES, STEP
 
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL_SCENARIOS = ("all",)
 BACKENDS = ("processes", "ray")
+_LIMITS = {  # of the numbers that are no part of an environment, or are named otherwise there
+    "episodes": (1, MOST_EPISODES), "jobs": (1, 256), "gif": (0, 1000), "threshold": (0.0, 1.0),
+    "budget": (0.0, 1e12 * STEP / 8.0), "gnss_yaw_noise": (0.0, 180.0), "collaborators": (0, 20),
+}  # fmt: skip
 HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
 
 
@@ -54,28 +70,30 @@ class Settings:
     threshold: float | None = None  # P(brake) from which a learned method brakes; default: its model's own
 
     def __post_init__(self) -> None:
+        for field in fields(self):  # what numpy says is written to JSON too
+            settle(self, field.name, plain(getattr(self, field.name)))
         for what in ("scenario", "method"):
+            settle(self, what, check_several(what, getattr(self, what), check_text))
             names = getattr(self, what)
             if not names or len(set(names)) < len(names):
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
+        settle(self, "models", check_several("models", self.models, check_path))
+        settle(self, "out", check_path("out", self.out))
+        settle(self, "report", check_switch("report", self.report))
         if len({folder.name for folder in self.models}) < len(self.models):
             raise ValueError(f"models folders must have different names, got {' '.join(map(str, self.models))}")
-        check_range("episodes", self.episodes, 1, MOST_EPISODES)
-        check_range("first-seed", self.first_seed, 0, 2**40)
-        check_range("jobs", self.jobs, 1, 256)
-        check_range("gif", self.gif, 0, 1000)
+        settle(self, "first_seed", check_seed("first-seed", self.first_seed))
+        check_numbers(self, "", _LIMITS)
         if self.backend not in BACKENDS:
             near = did_you_mean(self.backend, BACKENDS)
             raise ConfigError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}{near}")
         if self.backend == "ray":
             check_ray()
         if self.shard is not None:
-            shard_of(self.shard)
+            shard_of(check_text("shard", self.shard))
             if self.gif:
                 raise ValueError("gif is for a whole run: merge the shards first")
-        if self.threshold is not None:
-            check_range("threshold", self.threshold, 0.0, 1.0)
-        if self.hazard not in HAZARDS:
+        if not isinstance(self.hazard, str) or self.hazard not in HAZARDS:
             near = did_you_mean(self.hazard, HAZARDS)
             raise ConfigError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}{near}")
         from cad_env.simulation.setup import setup_from

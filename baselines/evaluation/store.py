@@ -16,7 +16,7 @@ from typing import Any
 from baselines.evaluation.grid import MOST_EPISODES, Key, grid
 from baselines.folder_note import claim, difference
 from baselines.methods import KNOWLEDGE, folder_of
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError, check_path, check_several, check_switch, settle
 from cad_env.files import (
     MOST_DATA_BYTES,
     FileError,
@@ -173,6 +173,9 @@ class Merging:
     report: bool = True  # write report.html
 
     def __post_init__(self) -> None:
+        settle(self, "merge", check_several("merge", self.merge, check_path))
+        settle(self, "out", check_path("out", self.out))
+        settle(self, "report", check_switch("report", self.report))
         if not self.merge:
             raise ConfigError("merge must name at least one folder")
 

@@ -135,7 +135,7 @@ def paired(drives: Drives) -> list[list[Record]]:
 
 def lost_share(records: Sequence[Record]) -> float | None:
     """Share of the messages of the others, in range or not, that were lost on their way to the ego."""
-    # Every connected vehicle sends as often as the ego, whose own messages have no way to go.
+    # A connected vehicle sends as often as the ego until it leaves the map; the ego's own messages have no way to go.
     others = sum(record.messages_sent * (1 - 1 / record.connected) for record in records if record.connected)
     return sum(record.messages_lost for record in records) / others if others else None
 

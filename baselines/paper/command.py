@@ -12,7 +12,17 @@ from typing import Any
 from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.folder_note import claim
 from baselines.paper.presets import PRESETS
-from cad_env.config import ConfigError, check_range, did_you_mean
+from baselines.signals import sigterm_as_ctrl_c
+from cad_env.checks import (
+    ConfigError,
+    check_numbers,
+    check_path,
+    check_several,
+    check_switch,
+    check_text,
+    did_you_mean,
+    settle,
+)
 from cad_env.files import replace_text
 from cad_env.version import version
 
@@ -34,18 +44,25 @@ class ReproduceSettings:
     method: tuple[str, ...] = ()  # only these methods; default: all of the tables
 
     def __post_init__(self) -> None:
+        settle(self, "preset", check_text("preset", self.preset))
         if self.preset not in PRESETS:
             near = did_you_mean(self.preset, PRESETS)
             raise ConfigError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}{near}")
-        check_range("jobs", self.jobs, 1, 64)
+        settle(self, "out", check_path("out", self.out))
+        settle(self, "method", check_several("method", self.method, check_text))
+        settle(self, "merge", check_switch("merge", self.merge))
+        check_numbers(self, "", {"jobs": (1, 64)})
         if self.shard and self.merge:
             raise ValueError("merge is of all shards: leave out --shard")
+        if self.merge and not (self.out / NOTE).is_file():
+            raise ValueError(f"merge is of a run that was begun: there is no {NOTE} in {self.out}")
 
     def command(self) -> str:
         """The command that makes the whole run."""
         return f"python reproduce.py --preset {self.preset} --out {self.out}"
 
 
+@sigterm_as_ctrl_c()
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:

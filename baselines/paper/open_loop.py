@@ -17,7 +17,7 @@ import numpy as np
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.methods import Method
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import MOST_DATA_BYTES, FileError, read_json_object, replace_text, shortened
 from cad_env.rules.expert import expert_of

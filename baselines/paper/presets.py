@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any
 
 from baselines.paper.sweeps import SWEPT_EPISODES
-from cad_env.config import check_range
+from cad_env.checks import check_numbers
 from policies.training.config import TrainingConfig
 
 EVERY_POINT, END_POINTS = "every", "ends"  # of a sweep
@@ -29,9 +29,8 @@ class Preset:
             raise ValueError(f"seeds must be at least one, each once, got {self.seeds}")
         if self.sweep_points not in (EVERY_POINT, END_POINTS):
             raise ValueError(f"sweep_points must be {EVERY_POINT} or {END_POINTS}, got {self.sweep_points!r}")
-        for name, most in (("open_loop", 100_000), ("scored", 10**9), ("ppo_steps", 10**9)):
-            check_range(name, getattr(self, name), 1, most)
-        check_range("swept", self.swept, 0, 10**6)
+        most = {"open_loop": (1, 100_000), "scored": (1, 10**9), "ppo_steps": (1, 10**9), "swept": (0, 10**6)}
+        check_numbers(self, "", most)
 
     @property
     def episodes(self) -> int:

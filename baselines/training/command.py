@@ -12,12 +12,16 @@ from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import ALL_SCENARIOS, Settings
 from baselines.methods import LEARNED, choices, folder_of, learned_named, radio_of
+from baselines.signals import import_whole, sigterm_as_ctrl_c
 from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
-from cad_env.config import check_range, radio_config
-from policies.training.config import TrainingConfig
+from cad_env.checks import check_numbers, check_path, check_seed, check_several, check_switch, check_text, settle
+from cad_env.config import radio_config
+from policies.training.config import STEPS, TrainingConfig
 
 MAIN_METHODS = ("stgraph", "stgraph-own")
 REFERENCE_METHODS = ("always-go", "always-brake", "planner-own", "planner-shared", "expert")  # scored beside them
+# The others are those of the training config that they make; only `steps` would be rounded up to what it takes.
+_LIMITS = {"score": (0, 1_000_000), "jobs": (1, 64), "steps": STEPS}
 _ASKED = ("radio", "episodes", "dagger_rounds", "dagger_episodes", "mixing", "steps", "validation")
 
 
@@ -46,6 +50,11 @@ class TrainSettings:
     def __post_init__(self) -> None:
         if radio_config(self.radio).budget == 0.0:
             raise ValueError(f"radio must be one that carries something, got {self.radio!r}")
+        for what, check in (("scenario", check_text), ("method", check_text), ("seed", check_seed)):
+            settle(self, what, check_several(what, getattr(self, what), check))
+        settle(self, "out", None if self.out is None else check_path("out", self.out))
+        settle(self, "velocity", check_switch("velocity", self.velocity))
+        check_numbers(self, "", _LIMITS)
         for what in ("method", "seed"):
             given = getattr(self, what)
             if not given or len(set(given)) < len(given):
@@ -53,8 +62,6 @@ class TrainSettings:
         for name in self.method:
             if self.velocity and learned_named(name).spec != "stgraph":
                 raise ValueError(f"velocity is an option of the paper's network, which {name} is not")
-        check_range("score", self.score, 0, 1_000_000)
-        check_range("jobs", self.jobs, 1, 64)
 
     def folder(self) -> Path:
         """Where everything goes."""
@@ -115,20 +122,27 @@ class TrainSettings:
         return found
 
 
+@sigterm_as_ctrl_c()
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
         settings = parsed(TrainSettings, argv, partial(choices, LEARNED))
+        import_whole("policies.model_folder")
         tasks = settings.tasks()
         for task in tasks:
             claim_folder(task)
         scoring = settings.scoring() if settings.score else []
         train_all(settings, tasks)
+        print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
+        return _all_scored(settings, scoring)
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
         return stopped(error)
-    print(f"The trained models are in {settings.folder()}.", file=sys.stderr)
+
+
+def _all_scored(settings: TrainSettings, scoring: Sequence[Settings]) -> int:
+    """Score, over one radio after the other; the exit code."""
     for each in scoring:
         if len(scoring) > 1 or each.radio != settings.radio:
             say(f"Over the radio {each.radio}:")

@@ -9,9 +9,9 @@ from typing import Any
 from baselines.folder_note import claim
 from baselines.methods import LearnedMethod, learned_named
 from baselines.references import is_reference, module_source
-from cad_env.config import ConfigError, did_you_mean
+from cad_env.checks import ConfigError, check_whole, did_you_mean
 from policies.registry import spec_named
-from policies.training.config import Advance, TrainingConfig
+from policies.training.config import STEPS, VALIDATION, Advance, TrainingConfig
 
 NOTE_OF_TRAINING = "training.json"  # in the folder of a model: what it is trained with
 
@@ -34,6 +34,7 @@ def training_config(
     `network` are settings of its network, which go before those of the method. ValueError for what is impossible.
     """
     steps, validation = (overrides.get(name, getattr(TrainingConfig, name)) for name in ("steps", "validation"))
+    steps, validation = check_whole("steps", steps, *STEPS), check_whole("validation", validation, *VALIDATION)
     if method.most_validated is not None:
         validation = min(validation, method.most_validated)
     given = {

@@ -1,12 +1,13 @@
 """The face for highway-env: vehicles that are views on rows of the world, and a road that steps it."""
 
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 
+from cad_env.envs.highway_base import not_served
 from cad_env.types import Floats
 from cad_env.world.state import OFF, Routes, World
 from cad_env.world.step import substep
@@ -17,6 +18,9 @@ _EGO_COLOUR, CONNECTED_COLOUR, OTHER_COLOUR, CRASHED_COLOUR = (
     (200, 200, 0),
     (255, 100, 100),
 )
+
+_MOVED = "the vehicles of a scene are moved together, by road.step() and the environment's step()"
+_DRAWN = "the vehicles of a scene are drawn by its scenario at reset and cannot be replaced"
 
 
 class RowVehicle(Vehicle):
@@ -32,6 +36,7 @@ class RowVehicle(Vehicle):
         self.log: list[Any] = []
         self.history: list[Any] = []
         self.collidable = self.solid = self.check_collisions = True
+        self.hit = False
 
     @property
     def position(self) -> Floats:
@@ -75,6 +80,10 @@ class RowVehicle(Vehicle):
         """True once it has touched another vehicle."""
         return bool(self.road.world.struck[self.row] >= 0)
 
+    @crashed.setter
+    def crashed(self, value: bool) -> None:
+        raise NotImplementedError(f"crashed cannot be set in cad_env, it follows from contact; got {value!r}")
+
     @property
     def LENGTH(self) -> float:  # noqa: N802  highway-env's name
         """m."""
@@ -106,6 +115,53 @@ class RowVehicle(Vehicle):
         """The lane nearest to the vehicle, searched when asked."""
         return self.road.network.get_lane(self.lane_index)
 
+    def predict_trajectory_constant_speed(self, times: Floats) -> tuple[list[Floats], list[float]]:
+        """Where it will be at its present speed, as highway-env's ControlledVehicle says it: along its route.
+
+        times (n,) s from now -> n positions (2,) m and n headings, rad; it keeps its distance from the route.
+        """
+        world, routes = self.road.world, self.road.routes
+        route, start = int(world.route[self.row]), world.progress[self.row]
+        point, heading = _on_route(routes, route, np.concatenate([[start], start + self.speed * np.asarray(times)]))
+        left = np.column_stack([-np.sin(heading), np.cos(heading)])
+        places = point + ((self.position - point[0]) @ left[0]) * left
+        return list(places[1:]), (heading[1:] + (self.heading - heading[0])).tolist()
+
+    act = not_served("act()", _MOVED)
+    step = not_served("step()", _MOVED)
+    predict_trajectory = not_served("predict_trajectory()", _MOVED)
+    clip_actions = not_served("clip_actions()", _MOVED)
+    on_state_update = not_served("on_state_update()", _MOVED)
+    handle_collisions = not_served("handle_collisions()", "contact is found by the world's step")
+    create_random = staticmethod(not_served("create_random()", _DRAWN))
+    create_from = staticmethod(not_served("create_from()", _DRAWN))
+    make_on_lane = staticmethod(not_served("make_on_lane()", _DRAWN))
+
+
+def _on_route(routes: Routes, route: int, progress: Floats) -> tuple[Floats, Floats]:
+    """Points (n, 2) m and headings (n,) rad of a route at arc lengths (n,) m."""
+    along = routes.spacing * np.arange(routes.point.shape[1])
+    parts = (*routes.point[route].T, routes.heading[route])
+    x, y, heading = (np.interp(progress, along, part) for part in parts)
+    return np.column_stack([x, y]), heading
+
+
+class FixedList(list[Any]):
+    """A list that refuses to be changed: the world would not notice."""
+
+    def __reduce__(self) -> Any:
+        return type(self), (list(self),)
+
+
+def _refuse_change(*_: Any, **__: Any) -> NoReturn:
+    raise ValueError(_DRAWN)
+
+
+for _change in (
+    "append", "clear", "extend", "insert", "pop", "remove", "__delitem__", "__iadd__", "__imul__", "__setitem__",
+):  # fmt: skip
+    setattr(FixedList, _change, _refuse_change)
+
 
 class WorldRoad(Road):
     """A highway-env road whose vehicles live in the compiled world."""
@@ -114,6 +170,7 @@ class WorldRoad(Road):
         self.world, self.routes = world, routes
         self.scratch = np.zeros(len(world.speed))
         super().__init__(network=network, vehicles=[], np_random=None)
+        self.objects = FixedList()  # none, and none can be put there
         colours = [OTHER_COLOUR] * len(world.speed)
         for row in connected:
             colours[row] = CONNECTED_COLOUR
@@ -122,13 +179,13 @@ class WorldRoad(Road):
 
     @property
     def vehicles(self) -> list[RowVehicle]:
-        """The vehicles that are on the map."""
-        return [vehicle for vehicle in self.rows if self.world.driver[vehicle.row] != OFF]
+        """The vehicles that are on the map, in a list that cannot be changed."""
+        return FixedList(vehicle for vehicle in self.rows if self.world.driver[vehicle.row] != OFF)
 
     @vehicles.setter
     def vehicles(self, value: list[RowVehicle]) -> None:
         if value:
-            raise ValueError("the vehicles of a scene are drawn by its scenario at reset and cannot be replaced")
+            raise ValueError(_DRAWN)
 
     def act(self) -> None:
         """Nothing to do: drivers decide inside the step."""

@@ -10,21 +10,29 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from cad_env.checks import check_whole
 from cad_env.envs.global_state import global_state, global_state_space
 from cad_env.envs.goals import goals
 from cad_env.envs.highway_vehicles import WorldRoad
 from cad_env.envs.rewards import StepOutcome, progress, reward_named
-from cad_env.envs.single import RENDER_MODES, CADEnv, check_render_mode, checked_action, checked_hazard
+from cad_env.envs.single import (
+    RENDER_MODES,
+    CADEnv,
+    check_render_mode,
+    checked_action,
+    checked_options,
+    checked_seed,
+)
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
-from cad_env.scenarios.registry import scenario_of_id
+from cad_env.scenarios.registry import scenario_named, scenario_of_id
 from cad_env.scenarios.scenario import Scenario
-from cad_env.simulation.scene_step import MAX_STEPS
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
-from cad_env.types import COLLISION, GO, SUCCESS, TIMEOUT, Floats, Ints, Observation
+from cad_env.types import COLLISION, GO, MAX_STEPS, SUCCESS, TIMEOUT, Floats, Ints, Observation
 from cad_env.world.state import Truth
 from cad_env.world.time_to_contact import time_to_contact
 
@@ -35,15 +43,18 @@ Infos = dict[str, dict[str, Any]]
 Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
 
 
-class CADParallelEnv(ParallelEnv[str, Observation, int]):
+class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
     """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
 
     An agent that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
     An agent that can only wait (at a red light, in a queue, parked; `info["waits"]`) stays until nobody else is left,
     and then leaves unharmed, with the outcome `waited` and no reward. `outcomes` has the outcome of each that has left.
+    Whoever leaves is terminated. When time is up all that are left are truncated, those that only waited too, and
+    terminated beside it only if they arrive or crash in this very step.
 
     Keyword arguments as for CADEnv, and `max_cycles`, decisions until time is up. There are three collaborators
-    unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it.
+    unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it;
+    it keeps them as float32, which rounds a `seed` from 2**24 on: infos of `FixedAgents` have it in two numbers.
 
     >>> env = CADParallelEnv()
     >>> observations, infos = env.reset(seed=1)
@@ -59,12 +70,11 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         check_render_mode(render_mode)
         self._reward = reward_named(options.pop("reward", "progress"))
         self.layers = checked_layers(options.pop("layers", tuple(LAYERS)))
-        if isinstance(max_cycles, bool) or not isinstance(max_cycles, int) or max_cycles < 1:
-            raise ValueError(f"max_cycles must be a whole number of decisions from 1, got {max_cycles!r}")
+        max_cycles = check_whole("max_cycles", max_cycles, 1)
         if options.get("cloud") is not None:
             raise ValueError(f"cloud is for one ego (CADEnv, CADVectorEnv) only, got {options['cloud']!r}")
         ranges = options.pop("ranges", {})
-        if isinstance(ranges, Mapping):
+        if isinstance(ranges, Mapping) and options.get("penetration") is None:
             ranges = {"collaborators": COLLABORATORS, **ranges}
         self.simulation = Simulation(setup_from({**options, "ranges": ranges}))
         self.render_mode = render_mode
@@ -93,12 +103,13 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         """Draw a scene -> (observations, infos), a dict by agent each.
 
         A seed is an episode, the same one as in CADEnv, and the start of those of later resets without a seed. Option
-        `hazard` True or False forces the kind of episode; other options are PettingZoo's to pass.
+        `hazard` True or False forces the kind of episode; an option named `options`, which PettingZoo's own tests pass,
+        changes nothing.
         """
-        hazard = checked_hazard((options or {}).get("hazard"))
+        options, seed = checked_options(options, ["hazard", "options"]), checked_seed(seed)
         if seed is not None or self.np_random is None:
             self.np_random = np.random.default_rng(seed)
-        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, hazard)
+        self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, options["hazard"])
         simulation = self.simulation
         world, rows = simulation.world, simulation.agents
         self.agents, self.outcomes = self.possible_agents[: len(rows)], {}
@@ -122,8 +133,9 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         there, outcomes = self.agents, self._outcomes()
         rewards, infos, observations = self._rewards(outcomes, chosen), self._infos(outcomes), self._observations()
         ended = [outcomes[self._number[agent]] for agent in there]
-        terminations = {agent: end is not None and end != TIMEOUT for agent, end in zip(there, ended, strict=True)}
-        truncations = {agent: end == TIMEOUT for agent, end in zip(there, ended, strict=True)}
+        by_itself = (SUCCESS, COLLISION) if self._time_is_up else (SUCCESS, COLLISION, WAITED)
+        terminations = {agent: end in by_itself for agent, end in zip(there, ended, strict=True)}
+        truncations = dict.fromkeys(there, self._time_is_up)
         self.outcomes.update({agent: end for agent, end in zip(there, ended, strict=True) if end is not None})
         self.agents = [agent for agent, end in zip(there, ended, strict=True) if end is None]
         if self.render_mode == "human":
@@ -132,6 +144,8 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
 
     def _chosen(self, actions: Mapping[str, int]) -> Ints:
         """(V,) what every connected vehicle does; those who have left go."""
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"actions must be a dict with one for each of {self.agents}, got {actions!r}")
         if not (self._number.keys() >= actions.keys() >= set(self.agents)):
             raise ValueError(f"one action for each of {self.agents} is needed, got {list(actions)}")
         chosen = np.full(len(self.simulation.agents), GO)
@@ -139,10 +153,14 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
             chosen[self._number[agent]] = checked_action(actions[agent])
         return chosen
 
+    @property
+    def _time_is_up(self) -> bool:
+        return self.simulation.steps >= self.max_cycles
+
     def _outcomes(self) -> list[str | None]:
         """How it ended for every connected vehicle, None for those who go on."""
         world, rows = self.simulation.world, self.simulation.agents
-        over = self.simulation.steps >= self.max_cycles
+        over = self._time_is_up
         struck, arrived = (world.struck[rows] >= 0).tolist(), (world.progress[rows] >= self._goal).tolist()
         outcomes = [outcome_of(s, a, over) for s, a in zip(struck, arrived, strict=True)]
         alive = [k for k in map(self._number.__getitem__, self.agents) if outcomes[k] in (None, TIMEOUT)]
@@ -189,17 +207,22 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
         covered = np.minimum((self._progress - self._start) / self._way, 1.0).tolist()
         speed = simulation.world.speed[simulation.agents].tolist()
         sent, received, lost = air.sent_bytes.tolist(), air.received_bytes.tolist(), air.lost.tolist()
-        seed, hazard = simulation.seed, simulation.scene.hazard
-        infos = {}
+        refused = air.messages_refused.tolist()
+        episode, infos = simulation.episode_info(), {}
         for agent in self.agents:
             k = self._number[agent]
             infos[agent] = {
-                "seed": seed, "hazard": hazard, "waits": self._waits[k],
+                **episode, "waits": self._waits[k],
                 "is_success": outcomes[k] == SUCCESS, "crashed": outcomes[k] == COLLISION,
                 "covered": covered[k], "speed": speed[k],
                 "bytes_sent": sent[k], "bytes_received": received[k], "messages_lost": lost[k],
+                "messages_refused": refused[k],
             }  # fmt: skip
         return infos
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the picture."""
+        return {**self.__dict__, "_viewer": None}
 
     def state(self) -> NDArray[np.float32]:
         """The truth as a vector in `state_space`, for a centralised critic: see `cad_env.envs.global_state`."""
@@ -217,12 +240,11 @@ class CADParallelEnv(ParallelEnv[str, Observation, int]):
             )
             return None
         simulation = self.simulation
+        road = WorldRoad(simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected)
         if self._viewer is None:
             self._viewer = SceneViewer(SimpleNamespace(config=self._display(), observation_type=None, action_type=None))
         shown = self._viewer.env
-        shown.road = WorldRoad(
-            simulation.map.network, simulation.world, simulation.map.routes, simulation.scene.connected
-        )
+        shown.road = road
         shown.vehicle, shown.simulation = shown.road.rows[0], simulation
         self._viewer.display()
         return self._viewer.get_image() if self.render_mode == "rgb_array" else self._viewer.handle_events()
@@ -245,5 +267,10 @@ def parallel_env(
 ) -> CADParallelEnv:
     """The PettingZoo environment of an id or of a scenario, e.g. parallel_env("CADLeftTurn-v0", radio="cv2x")."""
     if env_id not in ("CADScenario-v0", "cad_env:CADScenario-v0"):  # which has its scenario among the options
-        options["scenario"] = env_id if isinstance(env_id, Scenario) else scenario_of_id(env_id)
+        own = env_id if isinstance(env_id, Scenario) else scenario_of_id(env_id)
+        if "scenario" in options and scenario_named(options["scenario"]) is not own:
+            raise ValueError(
+                f"{env_id} is the scenario {own.name}, got scenario={options['scenario']!r}: use CADScenario-v0"
+            )
+        options["scenario"] = own
     return CADParallelEnv(render_mode=render_mode, **options)

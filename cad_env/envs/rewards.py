@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from cad_env.config import ConfigError, did_you_mean
+from cad_env.checks import ConfigError, did_you_mean
 from cad_env.simulation.simulation import FINAL_REWARD, Simulation
 
 

@@ -1,34 +1,37 @@
 """The vector environment: many scenes in one process, by Gymnasium's conventions, bit for bit equal to single ones."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cad_env.config import check_names
+from cad_env.checks import check_seed, check_switch, check_whole
 from cad_env.envs.rewards import Reward, ego_step, progress, reward_named
-from cad_env.envs.single import checked_hazard
+from cad_env.envs.single import as_array, check_scenario_of_id, checked_options
 from cad_env.lidar.config import space_with
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.scenarios.scenario import Scenario
 from cad_env.simulation.batch import SceneBatch, masked
-from cad_env.simulation.scene_step import TIMED_OUT, UNDER_WAY
+from cad_env.simulation.scene_step import COLLIDED, SUCCEEDED
 from cad_env.simulation.setup import setup_from
-from cad_env.types import BRAKE, GO, Bools, Floats, Ints, Observation
+from cad_env.types import BRAKE, GO, MAX_STEPS, Bools, Floats, Ints, Observation
 
 _Step = tuple[Observation, Floats, Bools, Bools, dict[str, Any]]
 
 
-class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
+class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
     """`num_envs` scenes, each as CADEnv gives it: observations, rewards, seeds and infos are equal to the last bit.
 
     Keyword arguments: those of CADEnv but `config` and `render_mode`; `scenario` may also be a list of them, which the
     scenes take in turn. `autoreset_mode` is one of Gymnasium's ("NextStep", "SameStep", "Disabled"), `copy=False`
-    hands out the same arrays at every step. Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
+    hands out the same arrays at every step; `max_episode_steps` ends episodes before their time is up, as Gymnasium's
+    TimeLimit does (None or -1: it does not). Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
 
     >>> envs = CADVectorEnv(num_envs=3, radio="dsrc")
     >>> observations, infos = envs.reset(seed=1, options={"hazard": True})
@@ -38,6 +41,8 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
 
     metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
+    _spec: EnvSpec | None = None
+
     def __init__(
         self,
         num_envs: int = 1,
@@ -46,15 +51,17 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         scenario: str | Scenario | Sequence[str | Scenario] = "left_turn",
         object_lists: bool = False,
         reward: str | Reward = "progress",
+        max_episode_steps: int | None = None,
         **options: Any,
     ) -> None:
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
-            raise ValueError(f"num_envs must be a whole number from 1 on, got {num_envs!r}")
-        self.num_envs, self.copy, self._object_lists = num_envs, copy, object_lists
+        self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
+        self.copy, self._object_lists = check_switch("copy", copy), check_switch("object_lists", object_lists)
         self._reward = reward_named(reward)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        names = [scenario] if scenario is None or isinstance(scenario, str | Scenario) else list(scenario)
+        names: list[Any] = [scenario]
+        if isinstance(scenario, Iterable) and not isinstance(scenario, str):
+            names = list(scenario)
         if not names:
             raise ValueError(f"scenario must name at least one, got {scenario!r}")
         setups = [setup_from({**options, "scenario": name}) for name in names]
@@ -67,26 +74,32 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._everywhere = np.ones(num_envs, np.bool_)
         self._over = np.zeros(num_envs, np.bool_)  # episodes that have ended and not begun anew
+        self._decisions = np.zeros(num_envs, np.int64)  # so far in each episode
+        self._limit = _checked_limit(max_episode_steps)
         self._chance: list[np.random.Generator | None] = [None] * num_envs
         self._started = False
+
+    @property  # an attribute in Gymnasium
+    def spec(self) -> EnvSpec | None:
+        """The id it was made by, and with what."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        check_scenario_of_id(spec, [each.scenario.name for each in self.batch.simulations])
+        self._spec = spec
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw scenes: of seed, seed + 1, ..., of a list of seeds, or without one going on from the last."""
-        options = options or {}
-        check_names("reset option", options, ["hazard", "reset_mask"])
-        hazard, which = checked_hazard(options.get("hazard")), self._everywhere
+        options, seeds = checked_options(options, ["hazard", "reset_mask"]), _checked_seeds(seed, self.num_envs)
+        which = self._everywhere
         if "reset_mask" in options:
             which = _checked_mask(options["reset_mask"], self.num_envs)
             self._check_started()
-        seeds = [seed] * self.num_envs if seed is None else seed
-        if isinstance(seeds, int):
-            seeds = [seeds + place for place in range(self.num_envs)]
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"seed must be one number or a list of {self.num_envs}, got {seed!r}")
         for place in np.flatnonzero(which).tolist():
-            self._start(place, seeds[place], hazard)
+            self._start(place, seeds[place], options["hazard"])
         self._started = True
         return self._observations(), self._infos(which)
 
@@ -100,14 +113,15 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
         going = np.flatnonzero(~over)
         before = self._progress(going)
         self.batch.step(going, chosen[going])
+        self._decisions[going] += 1
         earned = self._earned(going, chosen, before)
         for place in np.flatnonzero(over).tolist():
             self._start(place)
         rewards, outcomes = self.batch.rewards.copy(), self.batch.outcomes
         if earned is not None:
             rewards = earned
-        truncations = outcomes == TIMED_OUT
-        terminations = (outcomes != UNDER_WAY) & ~truncations
+        truncations = self._decisions >= self._limit
+        terminations = (outcomes == SUCCEEDED) | (outcomes == COLLIDED)
         self._over = terminations | truncations
         final = self._begun_anew() if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any() else {}
         return self._observations(), rewards, terminations, truncations, {**final, **self._infos(self._everywhere)}
@@ -144,7 +158,7 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
             chance, _ = np_random(seed)
             self._chance[place] = chance
         self.batch.start(place, int(chance.integers(2**31)) if seed is None else seed, hazard)
-        self._over[place] = False
+        self._over[place], self._decisions[place] = False, 0
 
     def _observations(self) -> Observation:
         seen = self.batch.observations
@@ -159,18 +173,47 @@ class CADVectorEnv(VectorEnv[Observation, Ints, Any]):
             raise gym.error.ResetNeeded("Cannot step before the first reset() of all scenes")
 
 
+def _autoreset_mode(mode: Any) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        choices = ", ".join(each.value for each in AutoresetMode)
+        raise ValueError(f"autoreset_mode must be one of {choices}, got {mode!r}") from None
+
+
+def _checked_seeds(seed: Any, count: int) -> list[int | None]:
+    """Of every scene, by what `reset` was given; ValueError for what is neither a seed nor a list of them."""
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes) and np.ndim(seed) == 1:
+        if len(seed) != count:
+            raise ValueError(f"seed must be one number or a list of {count}, got {seed!r}")
+        return [None if each is None else check_seed("seed", each) for each in seed]
+    first = check_seed("seed", seed)
+    return [first + place for place in range(count)]
+
+
 def _checked_mask(mask: Any, count: int) -> Bools:
-    """The scenes to reset; the errors are those of Gymnasium's own vectors."""
+    """The scenes to reset."""
     if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
-        raise TypeError(f"options['reset_mask'] must be a numpy array of bools, got {mask!r}")
+        raise ValueError(f"options['reset_mask'] must be a numpy array of bools, got {mask!r}")
     if mask.shape != (count,) or not mask.any():
         raise ValueError(f"options['reset_mask'] must hold {count} bools and at least one True, got {mask!r}")
     return mask
 
 
+def _checked_limit(given: int | None) -> int:
+    """Decisions in the longest episode; Gymnasium's make_vec hands over the limit of the id."""
+    if given is None or given == -1:
+        return MAX_STEPS
+    if isinstance(given, bool) or not isinstance(given, int) or given < 1:
+        raise ValueError(f"max_episode_steps must be a whole number from 1 on, -1 or None, got {given!r}")
+    return min(given, MAX_STEPS)
+
+
 def _checked_actions(actions: Any, count: int) -> Ints:
     """GO or BRAKE for every scene as integers; ValueError for anything else."""
-    chosen = np.asarray(actions)
+    chosen = as_array(actions)
     if chosen.shape != (count,) or chosen.dtype.kind not in "iuf" or not ((chosen == GO) | (chosen == BRAKE)).all():
         raise ValueError(f"actions must be {count} times {GO} (go) or {BRAKE} (brake), got {actions!r}")
     return chosen.astype(np.int64)

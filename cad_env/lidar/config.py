@@ -7,7 +7,8 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from gymnasium import spaces
 
-from cad_env.config import check_names, check_range
+from cad_env.checks import check_numbers
+from cad_env.config import check_names, knows_its_names
 from cad_env.lidar.points import MOST_POINTS, RawPoints, Reads
 from cad_env.pipeline.observe import HORIZON, observation_space
 from cad_env.types import COMMANDS, Floats, Ints
@@ -47,6 +48,7 @@ class Selective(Protocol):
         """The same for every cloud."""
 
 
+@knows_its_names("cloud setting")
 @dataclass(frozen=True)
 class CloudConfig:
     """That connected vehicles share points, and how: 1024 x 64 are the rays of a usual lidar."""
@@ -57,9 +59,9 @@ class CloudConfig:
     merged: int = 512  # points that the ego is shown at most; of more, every so many (a stride over all of them)
 
     def __post_init__(self) -> None:
-        _check_whole("cloud azimuths", self.azimuths, 8, MOST_AZIMUTHS)
-        _check_whole("cloud beams", self.beams, 1, min(MOST_BEAMS, MOST_POINTS // self.azimuths))
-        _check_whole("cloud merged", self.merged, 1, MOST_MERGED)
+        check_numbers(self, "cloud", {"azimuths": (8, MOST_AZIMUTHS), "merged": (1, MOST_MERGED)})
+        # As many rays as a message may have points, since every one may return.
+        check_numbers(self, "cloud", {"beams": (1, min(MOST_BEAMS, MOST_POINTS // self.azimuths))})
         if not isinstance(self.codec, CloudCodec):
             raise ValueError(f"cloud codec must have width, most, encode and decode, got {self.codec!r}")
 
@@ -108,12 +110,6 @@ def cloud_config(given: Any) -> CloudConfig | None:
     if given is not None and not isinstance(given, CloudConfig):
         raise ValueError(f"cloud must be None, a CloudConfig or a dict of its settings, got {given!r}")
     return given
-
-
-def _check_whole(name: str, value: Any, low: int, high: int) -> None:
-    check_range(name, value, low, high)
-    if int(value) != value:
-        raise ValueError(f"{name} must be a whole number, got {value!r}")
 
 
 MAX_RANGE = 300.0  # m of the sensor: the coordinates of raw points are two bytes of centimetres

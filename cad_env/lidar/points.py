@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.config import check_range
+from cad_env.checks import check_whole, settle
 from cad_env.numerics.jit import compiled, inlined_part
 from cad_env.pipeline.varint import DecodeError
 from cad_env.types import Floats, Ints
@@ -147,7 +147,7 @@ class RawPoints:
     most: int = KEPT
 
     def __post_init__(self) -> None:
-        check_range("most points of a message", self.most, 1, MOST_POINTS)
+        settle(self, "most", check_whole("most points of a message", self.most, 1, MOST_POINTS))
 
     @property
     def width(self) -> int:

@@ -6,8 +6,11 @@ this one, so any edit starts a new cache; but for the rooms of this package that
 in the user's cache folder, so a read-only installation works.
 """
 
+import atexit
 import hashlib
 import os
+import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Callable
@@ -97,9 +100,42 @@ def cache_folder(package: Path = _PACKAGE) -> Path:
             continue
         if os.access(folder, os.W_OK):
             return folder
-    return Path(tempfile.mkdtemp(prefix="cad-env-"))
+    return _temporary_folder(name)
 
 
 def _candidate_parents() -> list[Path]:
-    chosen = [os.environ.get("NUMBA_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")]
-    return [Path(p) for p in chosen if p] + [Path(os.path.expanduser("~")) / ".cache"]
+    """Where a cache may be, the user's choice first. Paths that are not absolute are no cache or home folders.
+
+    A user who is not known to the system and has no HOME has no home: there `~` stays `~`.
+    """
+    chosen, home = os.environ.get("NUMBA_CACHE_DIR"), os.path.join(os.path.expanduser("~"), ".cache")
+    usual = [parent for parent in (os.environ.get("XDG_CACHE_HOME"), home) if parent and os.path.isabs(parent)]
+    return [Path(parent) for parent in ([chosen] if chosen else []) + usual]
+
+
+def _temporary_folder(name: str) -> Path:
+    """The folder of this user under the temporary one, for all processes; one for this process if that is not safe.
+
+    Everybody may write to the temporary folder, and what is in a cache is run.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else "user"  # on Windows everybody has a temporary folder of their own
+    parent = Path(tempfile.gettempdir()) / f"cad-env-{user}"
+    try:
+        parent.mkdir(mode=0o700, exist_ok=True)
+        if _is_own(parent):
+            folder = parent / name
+            folder.mkdir(mode=0o700, exist_ok=True)
+            return folder
+    except OSError:
+        pass
+    own = tempfile.mkdtemp(prefix="cad-env-")
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    return Path(own)
+
+
+def _is_own(folder: Path) -> bool:
+    """Whether a folder, and no link to one, is this user's, and nobody else may write to it."""
+    found = folder.lstat()
+    if not hasattr(os, "getuid"):
+        return stat.S_ISDIR(found.st_mode)
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022

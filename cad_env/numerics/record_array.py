@@ -5,8 +5,9 @@ whenever it takes one out of another, some thousand times in a step. From a reco
 its arrays are and of what shape, and nobody counts. The bytes keep alive whoever has lent them an array.
 """
 
+import copy
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import types
@@ -16,6 +17,8 @@ from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
 from cad_env.numerics.jit import compiled
+
+_Self = TypeVar("_Self", bound="CopiedWhole")
 
 
 def _address(context: Any, builder: Any, kind: Any, array_kind: Any, records: Any, place: Any) -> Any:
@@ -100,10 +103,18 @@ class _Memory(bytearray):
 def new_record_array(kind: Any, places: int, lenders: dict[int, Any]) -> Any:
     """An empty records for so many records of `kind`, which keeps alive all that is in `lenders` as long as itself.
 
-    Who puts a record at a place puts it into `lenders` too. In plain Python a records is a list.
+    Who puts a record at a place puts it into `lenders` too. It must not be copied: the bytes are addresses, so that the
+    copy would borrow the original's arrays, and keep none of them alive. In plain Python a records is a list.
     """
     if numba_config.DISABLE_JIT:
         return [None] * places
     memory = _Memory(places * size_of(kind))
     memory.held = lenders
     return np.frombuffer(memory, np.uint8)
+
+
+class CopiedWhole:
+    """What stands on borrowed arrays: `copy.copy` gives as much as `copy.deepcopy`, or two would move one world."""
+
+    def __copy__(self: _Self) -> _Self:
+        return copy.deepcopy(self)

@@ -13,9 +13,9 @@ A message stands alone; no receiver needs an earlier one. It holds the newest `d
     CRC-32 of all before                                        four bytes
 
 The first node of a walk is the difference to the first track's newest position, which itself is coded in full: the
-first track of a vehicle's graph is its own body, and what it sees is close. Each older node is the difference to the
-position that the newer ones predict at constant velocity. Differences are zigzag varints: one byte up to 63 cm. A
-height that stays the same is written once.
+first track of a vehicle's graph is its own body, and what it sees is close. Each older node is the difference to what
+the newer ones predict, last + pace x gap: docs/perception-and-radio.md has the rule and a worked example. Differences
+are zigzag varints: one byte up to 63 cm. A height that stays the same is written once.
 
 The prediction follows half of each surprise, which divides the variance that noisy positions cause by 1.8 against
 the line through two nodes, and is only shifts and sums of integers: every machine reads the same bytes alike.

@@ -23,7 +23,10 @@ import numpy as np
 from cad_env.config import RadioConfig
 from cad_env.numerics.jit import compiled
 from cad_env.numerics.philox import uniform
-from cad_env.types import Bools, Bytes, Floats, Ints
+from cad_env.types import STEP, Bools, Bytes, Floats, Ints
+
+STEP_MS = round(1000 * STEP)
+CLOCK_MS = STEP_MS // 2  # by which the time in a message may differ from that of its sending
 
 # What `send` answers.
 ACCEPTED, NO_BUDGET, OVER_BUDGET, TOO_LONG, SECOND_MESSAGE = 0, 1, 2, 3, 4
@@ -109,6 +112,12 @@ def fate_at(link: Link, key: Ints, distance: float, step: int, sender: int, rece
     else:
         lost = uniform(key, step, sender, receiver, number) < link.loss
     return LOST if lost else REACHES
+
+
+@compiled
+def is_as_sent(sender: int, time_ms: int, transmitter: int, step: int) -> bool:
+    """Whether what a message says of itself is true: the radio knows who sent it, and in which step."""
+    return sender == transmitter and abs(time_ms - STEP_MS * step) <= CLOCK_MS
 
 
 @compiled

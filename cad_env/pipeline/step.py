@@ -11,14 +11,29 @@ from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks, view_at
-from cad_env.pipeline.radio import ACCEPTED, LOST, REACHES, Air, Link, empty_air, fate, fetch, send
+from cad_env.pipeline.radio import (
+    ACCEPTED,
+    LOST,
+    NOT_SENT,
+    REACHES,
+    SILENT,
+    STEP_MS,
+    Air,
+    Link,
+    empty_air,
+    fate,
+    fetch,
+    is_as_sent,
+    send,
+)
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
 from cad_env.types import FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, Bools, Bytes, Floats, GraphArrays, Ints
-from cad_env.world.state import Routes, World
+from cad_env.world.state import OFF, Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
-UNREAD = -1  # in place of a message's length
+UNREAD, REFUSED = -1, -2  # in place of a message's length
+OWN = -1  # in place of the length of an injected message: the vehicle sends its own
 # First rows of a graph to merge: row 0 of the own one is the own body. Of a numpy type, because numba compiles a
 # function anew for every plain number that is written in a call of it.
 ALL, OTHERS = np.int64(0), np.int64(1)
@@ -31,6 +46,14 @@ class Report(NamedTuple):
     refusal: Ints  # (V,) why a sender's message was refused, 0 if it was not
     received_bytes: Ints  # (R,) bytes that reached each receiver
     lost: Ints  # (R,) messages in range that did not
+    messages_refused: Ints  # (R,) messages that did, and were refused whole by the receiver
+
+
+class Injected(NamedTuple):
+    """What V vehicles broadcast in the next step in place of their own messages: bytes from outside."""
+
+    length: Ints  # (V,) bytes, or OWN
+    payload: Bytes  # (V, B); B is 0 until bytes come from outside, to spare the memory
 
 
 class Fleet(NamedTuple):
@@ -44,6 +67,7 @@ class Fleet(NamedTuple):
     merged: GraphArrays  # (R, ...)
     views: View  # (R, ...)
     air: Air
+    injected: Injected
     visible: Bools  # (V, N) who had a line of sight to whom; never leaves the simulation
     report: Report
     message: GraphArrays  # scratch: the message being read
@@ -68,12 +92,14 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
         merged=empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS),
         views=empty_view(receivers),
         air=empty_air(count, link, MAX_BYTES),
+        injected=nothing_injected(count, 0),
         visible=np.zeros((count, vehicles), np.bool_),
         report=Report(
             sent_bytes=np.zeros(count, np.int64),
             refusal=np.zeros(count, np.int64),
             received_bytes=np.zeros(receivers, np.int64),
             lost=np.zeros(receivers, np.int64),
+            messages_refused=np.zeros(receivers, np.int64),
         ),
         message=empty_graph_arrays(),
         weight=np.zeros((MAX_MERGED_TRACKS, FRAMES)),
@@ -86,16 +112,23 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
     )
 
 
+def nothing_injected(vehicles: int, capacity: int) -> Injected:
+    """Room for messages from outside of up to `capacity` bytes, and none in it."""
+    return Injected(np.full(vehicles, OWN, np.int64), np.zeros((vehicles, capacity), np.uint8))
+
+
 @inlined_part
 def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link, depth: int, keys: Ints,
         step: int) -> None:  # fmt: skip
     """Sense, track, graph, encode and send for every vehicle; then deliver, merge and observe for every receiver."""
     outline(world, fleet.outlines)
     for v in range(fleet.rows.shape[0]):
-        perceive(world, fleet, v, sensor, keys[SENSE], step)
-    for v in range(fleet.rows.shape[0]):
-        broadcast(world, fleet, v, link, depth, step)
-    deliver(fleet, link, keys[RADIO], step)
+        if is_gone(world, fleet, v):
+            fall_silent(fleet, v)
+        else:
+            perceive(world, fleet, v, sensor, keys[SENSE], step)
+            broadcast(world, fleet, v, link, depth, step)
+    deliver(world, fleet, link, keys[RADIO], step)
     merge_all(world, routes, fleet)
 
 
@@ -105,6 +138,22 @@ def merge_all(world: World, routes: Routes, fleet: Fleet) -> None:
     for r in range(fleet.merged.used.shape[0]):
         fuse(fleet, r)
         show(world, routes, fleet, r)
+
+
+@inlined_part
+def is_gone(world: World, fleet: Fleet, v: int) -> bool:
+    """Whether connected vehicle v has left the map: it does not sense, send or receive any more."""
+    return bool(world.driver[fleet.rows[v]] == OFF)
+
+
+@inlined_part
+def fall_silent(fleet: Fleet, v: int) -> None:
+    """One frame of a vehicle that is gone: what it knew gets older, and it sends nothing."""
+    slide(_rows_at(fleet.window, v))
+    for row in range(fleet.visible.shape[1]):
+        fleet.visible[v, row] = False
+    fleet.report.refusal[v], fleet.report.sent_bytes[v] = SILENT, 0
+    fleet.injected.length[v] = OWN
 
 
 @inlined_part
@@ -136,9 +185,11 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
 @inlined_part
 def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: int) -> None:
     """Write one vehicle's graph as bytes and hand them to the radio."""
-    size = 0
-    if link.budget > 0.0:  # a radio without a budget refuses whatever is written: spare the writing
-        size = write(fleet.buffer, v, 100 * step, depth, _rows_at(fleet.window, v))
+    size = _take_injected(fleet, v)
+    if size == OWN:
+        size = 0
+        if link.budget > 0.0:  # a radio without a budget refuses whatever is written: spare the writing
+            size = write(fleet.buffer, v, STEP_MS * step, depth, _rows_at(fleet.window, v))
     place = world.position[fleet.rows[v]]
     reason = send(fleet.air, link, step, v, fleet.buffer, size, place[0], place[1])
     fleet.report.refusal[v] = reason
@@ -146,28 +197,47 @@ def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: 
 
 
 @inlined_part
-def deliver(fleet: Fleet, link: Link, key: Ints, step: int) -> None:
+def _take_injected(fleet: Fleet, v: int) -> int:
+    """Move what vehicle v is to send from outside to the buffer; answers its length, or OWN."""
+    size = int(fleet.injected.length[v])
+    for index in range(size):
+        fleet.buffer[index] = fleet.injected.payload[v, index]
+    fleet.injected.length[v] = OWN
+    return size
+
+
+@inlined_part
+def deliver(world: World, fleet: Fleet, link: Link, key: Ints, step: int) -> None:
     """Give what arrives to every receiver that it reaches; a message is parsed once, if it reaches any."""
     report = fleet.report
     receivers = fleet.merged.used.shape[0]
     for r in range(receivers):
-        report.received_bytes[r] = report.lost[r] = 0
+        report.received_bytes[r] = report.lost[r] = report.messages_refused[r] = 0
         for v in range(fleet.rows.shape[0]):
             slide(_kept_at(fleet.kept, r, v))
     for v in range(fleet.rows.shape[0]):
         length = UNREAD
         for r in range(receivers):
-            end = fate(fleet.air, link, key, step, v, r)
+            end = NOT_SENT if is_gone(world, fleet, r) else fate(fleet.air, link, key, step, v, r)
             report.lost[r] += end == LOST
             if end != REACHES:
                 continue
             if length == UNREAD:
-                length = fetch(fleet.air, link, step, v, fleet.buffer)
-                if read(fleet.buffer, length, fleet.header, fleet.message) != READ:
-                    break
+                length = _read_from(fleet, link, v, step)
+            if length == REFUSED:
+                report.messages_refused[r] += 1
+                continue
             report.received_bytes[r] += length
-            age = step - fleet.header[1] // 100  # the time in the message places its frames, not that of its arrival
-            receive(_kept_at(fleet.kept, r, fleet.header[0]), fleet.message, fleet.header[2], age)
+            receive(_kept_at(fleet.kept, r, v), fleet.message, fleet.header[2], link.delay)
+
+
+@inlined_part
+def _read_from(fleet: Fleet, link: Link, v: int, step: int) -> int:
+    """Read the message that arrives from vehicle v; answers its length, or REFUSED if any of it is not acceptable."""
+    length = fetch(fleet.air, link, step, v, fleet.buffer)
+    if read(fleet.buffer, length, fleet.header, fleet.message) != READ:
+        return REFUSED
+    return length if is_as_sent(fleet.header[0], fleet.header[1], v, step - link.delay) else REFUSED
 
 
 @inlined_part

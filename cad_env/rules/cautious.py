@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.config import SensorConfig, check_range
+from cad_env.checks import check_numbers
+from cad_env.config import SensorConfig
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.pipeline.sense import MOUNT
@@ -68,12 +69,11 @@ class CautiousConfig:
     rules: PlannerConfig = field(default_factory=PlannerConfig)  # about the vehicles that it knows
 
     def __post_init__(self) -> None:
-        check_range("speed", self.speed, 1.0, 50.0)
-        check_range("reserve", self.reserve, 0.0, 10.0)
-        check_range("short", self.short, 0.0, 10.0)
-        check_range("lean", self.lean, 0.0, 10.0)
-        check_range("creep", self.creep, 0.0, 5.0)
-        check_range("range", self.range, 1.0, 500.0)
+        limits = {
+            "speed": (1.0, 50.0), "reserve": (0.0, 10.0), "short": (0.0, 10.0), "lean": (0.0, 10.0),
+            "creep": (0.0, 5.0), "range": (1.0, 500.0),
+        }  # fmt: skip
+        check_numbers(self, "", limits)
 
     @property
     def caution(self) -> Caution:

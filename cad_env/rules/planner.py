@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cad_env.config import check_range
+from cad_env.checks import check_numbers
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.rules.motion import fit_motion, lane_heading
@@ -50,11 +50,11 @@ class PlannerConfig:
     gate: float = 15.0  # m before an oncoming lane, where all of the way through it must be free
 
     def __post_init__(self) -> None:
-        check_range("look_ahead", self.look_ahead, STEP, 30.0)
-        check_range("ahead", self.ahead, 0.0, 10.0)
-        check_range("behind", self.behind, 0.0, 10.0)
-        check_range("margin", self.margin, 0.0, 5.0)
-        check_range("gate", self.gate, 0.0, 80.0)
+        limits = {
+            "look_ahead": (STEP, 30.0), "ahead": (0.0, 10.0), "behind": (0.0, 10.0), "margin": (0.0, 5.0),
+            "gate": (0.0, 80.0),
+        }  # fmt: skip
+        check_numbers(self, "", limits)
 
     @property
     def rule(self) -> Rule:

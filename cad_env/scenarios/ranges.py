@@ -1,9 +1,10 @@
 """What a scenario is drawn from: ranges by name, and how much traffic is around its actors."""
 
 from dataclasses import dataclass, field, fields
+from numbers import Integral, Real
 from typing import Any
 
-from cad_env.config import ConfigError, check_range, did_you_mean
+from cad_env.checks import ConfigError, check_range, did_you_mean, plain, settle
 
 Range = tuple[float, float]
 
@@ -16,7 +17,7 @@ class Traffic:
     """How much is on the road around the actors, and how many of all of them are connected."""
 
     density: str = "light"
-    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
+    penetration: float | None = None  # probability that a vehicle is connected; None: as many as `collaborators` says
 
     def __post_init__(self) -> None:
         if not isinstance(self.density, str) or self.density not in DENSITIES:
@@ -52,11 +53,12 @@ class Ranges:
         for each in fields(self):
             value = getattr(self, each.name)
             if "share" in each.metadata:
-                check_range(each.name, value, 0.0, 1.0)
+                settle(self, each.name, check_range(each.name, value, 0.0, 1.0))
             if "within" in each.metadata:
-                _check_span(each.name, value, *each.metadata["within"])
-            if "whole" in each.metadata and any(int(end) != end for end in value):
-                raise ValueError(f"{each.name} must be a pair of whole numbers, got {value!r}")
+                ends = _checked_span(each.name, value, *each.metadata["within"])
+                if "whole" in each.metadata and not all(isinstance(end, Integral) for end in ends):
+                    raise ValueError(f"{each.name} must be a pair of whole numbers, got {value!r}")
+                settle(self, each.name, ends)
 
 
 def check_road(ranges: Any, way: float, start: float, road: float) -> None:
@@ -73,13 +75,15 @@ def check_road(ranges: Any, way: float, start: float, road: float) -> None:
         )
 
 
-def _check_span(name: str, value: Any, low: float, high: float) -> None:
-    """Refuse anything but an ordered pair of numbers within [low, high] with a one-line ValueError."""
+def _checked_span(name: str, value: Any, low: float, high: float) -> tuple[Any, Any]:
+    """An ordered pair of numbers within [low, high]; a one-line ValueError for anything else."""
+    pair = plain(value)
     ordered = (
-        isinstance(value, tuple | list)
-        and len(value) == 2
-        and all(isinstance(end, int | float) and not isinstance(end, bool) for end in value)
-        and low <= value[0] <= value[1] <= high
+        isinstance(pair, tuple)
+        and len(pair) == 2
+        and all(isinstance(end, Real) and not isinstance(end, bool) for end in pair)
+        and low <= pair[0] <= pair[1] <= high
     )
     if not ordered:
         raise ValueError(f"{name} must be a pair (from, to) within [{low:g}, {high:g}], got {value!r}")
+    return pair[0], pair[1]

@@ -11,12 +11,12 @@ from typing import Any
 
 import gymnasium as gym
 
-from cad_env.config import ConfigError, did_you_mean
+from cad_env.checks import ConfigError, did_you_mean
 from cad_env.scenarios.left_turn import LEFT_TURN
 from cad_env.scenarios.overtaking import OVERTAKING
 from cad_env.scenarios.scenario import Scenario
 from cad_env.scenarios.street_crossing import STREET_CROSSING
-from cad_env.types import COMMANDS
+from cad_env.types import COMMANDS, MAX_STEPS
 from cad_env.version import PACKAGE, code_digest
 
 GROUP = "cad_env.scenarios"  # entry points of installed packages: a scenario each, under its own name
@@ -45,7 +45,9 @@ def register(scenario: Scenario) -> Scenario:
         raise ValueError(f"another environment has the id {gym_id!r} already: choose another gym_id for {name!r}")
     if taken is None:
         # The object and not its name, so that a process to which this is handed on learns of it.
-        gym.register(gym_id, ENVIRONMENT, vector_entry_point=VECTOR, kwargs={"scenario": scenario})
+        gym.register(
+            gym_id, ENVIRONMENT, max_episode_steps=MAX_STEPS, vector_entry_point=VECTOR, kwargs={"scenario": scenario}
+        )
     _known[name] = scenario
     return scenario
 

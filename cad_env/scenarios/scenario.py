@@ -12,7 +12,7 @@ from cad_env.config import check_names
 from cad_env.numerics.philox import generator
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
-from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows
+from cad_env.scenarios.scene import HIDDEN, OCCLUDER, Actors, Placement, Scene, connected_rows, rows_at_penetration
 from cad_env.types import COMMANDS, MOST_COMMANDS, Command, Policy
 from cad_env.world.state import Routes
 
@@ -99,9 +99,12 @@ class Scenario:
         further = generator(seed, "background")
         count = int(further.integers(*DENSITIES[traffic.density], endpoint=True))
         placements = (*actors.vehicles, *_taken(self.background(self.map, actors, further), count, further))
-        connected = connected_rows(
-            placements, actors.witnesses, ranges.collaborators, traffic, generator(seed, "connection")
-        )
+        if traffic.penetration is None:
+            connected = connected_rows(
+                placements, actors.witnesses, ranges.collaborators, generator(seed, "connection")
+            )
+        else:
+            connected = rows_at_penetration(len(placements), traffic.penetration, generator(seed, "penetration"))
         return Scene(placements, connected, told, HIDDEN, OCCLUDER, actors.goal, actors.timing)
 
     def most_connected(self, ranges: Any, traffic: Traffic) -> int:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cad_env.scenarios.ranges import Traffic
 from cad_env.types import CAR
 from cad_env.world.state import IDM, Routes, World, empty_world
 
@@ -61,24 +60,26 @@ class Scene:
 
 
 def connected_rows(
-    placements: Sequence[Placement], witnesses: Sequence[int], collaborators: tuple[int, int], traffic: Traffic,
-    rng: np.random.Generator,
-) -> tuple[int, ...]:  # fmt: skip
-    """The ego, a witness and others: as many as `collaborators` says, or with a penetration as chance has it.
+    placements: Sequence[Placement], witnesses: Sequence[int], collaborators: tuple[int, int], rng: np.random.Generator
+) -> tuple[int, ...]:
+    """The ego, a witness and others, as many as `collaborators` says.
 
-    With a penetration the lower end of `collaborators` is the least number, and more of it only adds vehicles. The
-    hidden vehicle is never connected: it would give itself away.
+    The hidden vehicle is never connected: it would give itself away.
     """
     witness = int(rng.choice(np.array(witnesses)))
     order = [witness, *(row for row in rng.permutation(len(placements)).tolist() if row not in (witness, EGO, HIDDEN))]
     useful = [row for row in order if not placements[row].bystander]
     wanted = int(rng.integers(*collaborators, endpoint=True))
-    if traffic.penetration is None:
-        return (EGO, *sorted(useful[:wanted]))
-    least = useful[: collaborators[0]]
-    hits = int((rng.random(len(order)) < traffic.penetration).sum())
-    rest = [row for row in order if row not in least]
-    return (EGO, *sorted([*least, *rest][: max(hits, len(least))]))
+    return (EGO, *sorted(useful[:wanted]))
+
+
+def rows_at_penetration(vehicles: int, penetration: float, rng: np.random.Generator) -> tuple[int, ...]:
+    """The ego, and each other vehicle but the hidden one by a draw of its own with that probability.
+
+    The draw of a row depends on no other: more penetration, or more traffic behind the rows, only adds vehicles.
+    """
+    drawn = rng.random(vehicles) < penetration
+    return (EGO, *(row for row in np.flatnonzero(drawn).tolist() if row not in (EGO, HIDDEN)))
 
 
 def place(scene: Scene, routes: Routes) -> World:

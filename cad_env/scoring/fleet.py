@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from cad_env.checks import check_seed
 from cad_env.envs.parallel import CADParallelEnv
 from cad_env.scoring.interval import Share, clustered, share_of
 from cad_env.scoring.rollout import BatchPolicy
@@ -77,6 +78,7 @@ def rollout_fleet(
     agents share must keep no memory of what it saw; it decides for all of them at once if it can (`act_batch`). Every
     policy is reset once, with the seed of the episode. Privileged ones are given `env.truth(agent)`.
     """
+    seed = check_seed("seed", seed)
     observations, infos = env.reset(seed=seed, options={"hazard": hazard})
     drivers = _drivers(policies, env.agents, env.possible_agents)
     for policy in {id(policy): policy for policy in drivers.values()}.values():

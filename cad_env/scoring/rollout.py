@@ -8,12 +8,13 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from cad_env.checks import check_seed
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.simulation.batch import SceneBatch
-from cad_env.simulation.scene_step import MAX_STEPS, UNDER_WAY
+from cad_env.simulation.scene_step import UNDER_WAY
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import BRAKE, STEP, Floats, Ints, Observation, Policy
+from cad_env.types import BRAKE, MAX_STEPS, STEP, Floats, Ints, Observation, Policy
 
 BRAKE_WINDOW = 5  # decisions: 0.5 s
 
@@ -34,7 +35,7 @@ class Episode:
     largest_message: Ints  # (n,) bytes
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
-    hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet
+    hazard_time: float  # s after an unbraked ego that the hidden vehicle is where they meet; NaN if never
     connected: int  # vehicles, the ego included
 
     @property
@@ -81,7 +82,8 @@ def rollout(
     hazard: bool | None = None,
     watch: Watch | None = None,
 ) -> Episode:
-    """Drive one episode to its end."""
+    """Drive one episode to its end. seed: any whole number from 0 on."""
+    seed = check_seed("seed", seed)
     policy.reset(seed)
     observation, info = env.reset(seed=seed, options={"hazard": hazard})
     log = _Log(1)
@@ -117,7 +119,7 @@ def rollouts(
 
     def begun() -> Iterator[int]:
         for seed in seeds:
-            policy.reset(seed)
+            policy.reset(check_seed("seed", seed))
             yield seed
 
     def act(which: Ints, _: Ints) -> Ints:
@@ -206,7 +208,7 @@ class _Log:
         info = simulation.info()
         return Episode(
             simulation.scenario.name, method, info["seed"], info["hazard"], info["outcome"],
-            self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_timing=info["hazard_timing"],
+            self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_time=info["hazard_time"],
             connected=len(simulation.agents),
             **{name: part[place, :count].copy() for name, part in self._step_info.items()},
         )  # fmt: skip

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING
 
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.files import parse_json, shortened
 from cad_env.scoring.interval import wilson
 from cad_env.types import OUTCOMES, STEP
@@ -27,9 +27,9 @@ class Record:
     302
     >>> parse_record('{"scenario": "left_turn"}')
     Traceback (most recent call last):
-    cad_env.config.ConfigError: an episode's record must have the keys scenario, method, seed, hazard, outcome, time,
+    cad_env.checks.ConfigError: an episode's record must have the keys scenario, method, seed, hazard, outcome, time,
     brakes, bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc,
-    hazard_timing, connected, hardest_brake
+    hazard_time, connected, hardest_brake
     """
 
     scenario: str
@@ -45,7 +45,7 @@ class Record:
     messages_lost: int  # on their way to the ego
     bytes_total: int  # sent by all connected vehicles
     min_ttc: float | None  # s, None if nothing was on a collision course
-    hazard_timing: float | None  # s after an unbraked ego that the hidden vehicle is where they meet; None if never
+    hazard_time: float | None  # s after an unbraked ego that the hidden vehicle is where they meet; None if never
     connected: int  # vehicles, the ego included
     hardest_brake: float  # m/s2, the largest mean deceleration of the ego over 0.5 s
 
@@ -68,7 +68,7 @@ class Record:
             "bytes_per_message_mean": self.bytes_per_message_mean is None or _is_amount(self.bytes_per_message_mean),
             "bytes_per_message_max": self.bytes_per_message_max is None or is_count(self.bytes_per_message_max),
             "min_ttc": self.min_ttc is None or _is_amount(self.min_ttc),
-            "hazard_timing": self.hazard_timing is None or _is_number(self.hazard_timing),
+            "hazard_time": self.hazard_time is None or _is_number(self.hazard_time),
             "hardest_brake": _is_amount(self.hardest_brake),
         }
 
@@ -115,7 +115,7 @@ def record_of(episode: "Episode") -> Record:
         messages_lost=int(episode.messages_lost.sum()),
         bytes_total=int(episode.bytes_sent.sum()),
         min_ttc=round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
-        hazard_timing=None if episode.hazard_timing is None else round(episode.hazard_timing, 6),
+        hazard_time=None if math.isnan(episode.hazard_time) else round(episode.hazard_time, 6),
         connected=episode.connected,
         hardest_brake=round(episode.hardest_brake, 6),
     )

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cad_env.lidar.config import CloudConfig
+from cad_env.numerics.record_array import CopiedWhole
 from cad_env.scenarios.registry import commands_of
 from cad_env.simulation.cloud_exchange import exchange
 from cad_env.simulation.scene_step import OUTCOME_BY_CODE, BatchState, Truths, play
@@ -14,10 +15,11 @@ from cad_env.simulation.setup import Setup
 from cad_env.simulation.simulation import REFUSALS, Simulation
 from cad_env.types import COLLISION, SUCCESS, Bools, Ints, Observation
 
+_MOST_INT64 = np.iinfo(np.int64).max
 _OUTCOMES, _REFUSALS = np.array(OUTCOME_BY_CODE, object), np.array(REFUSALS, object)
 
 
-class SceneBatch:
+class SceneBatch(CopiedWhole):
     """S scenes, each an episode of its own: one setup a scene, which may differ in all they say."""
 
     def __init__(self, setups: Sequence[Setup]) -> None:
@@ -26,12 +28,21 @@ class SceneBatch:
         self.batch_state = BatchState(len(setups), _one_cloud(setups), commands)
         self.simulations = [Simulation(setup, self.batch_state, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
-        # The ego's part of the stacked views: (S, ...) arrays that every step fills anew.
-        self.observations: Observation = {
-            name: part[:, 0] for name, part in zip(self.batch_state.views._fields, self.batch_state.views, strict=True)
-        }
-        if self.batch_state.clouds is not None:
-            self.observations.update(self.batch_state.clouds._asdict())
+        self.observations = self._shown()
+
+    def _shown(self) -> Observation:
+        """The ego's part of the stacked views: (S, ...) arrays that every step fills anew."""
+        views, clouds = self.batch_state.views, self.batch_state.clouds
+        shown = {name: part[:, 0] for name, part in zip(views._fields, views, strict=True)}
+        return shown if clouds is None else {**shown, **clouds._asdict()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "observations"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy shows the arrays of its own scenes."""
+        self.__dict__.update(state)
+        self.observations = self._shown()
 
     def __len__(self) -> int:
         return len(self.simulations)
@@ -41,12 +52,16 @@ class SceneBatch:
         simulation = self.simulations[place]
         simulation.start(seed, hazard, receivers=1)
         for name, value in simulation.episode_info().items():
+            if isinstance(value, int) and value > _MOST_INT64:  # a seed: of any size, so that object takes its place
+                self._episodes[name] = self._episodes.get(name, np.zeros(len(self), np.int64)).astype(object)
             if name not in self._episodes:
-                self._episodes[name] = np.zeros(len(self), float if value is None else type(value))
-            self._episodes[name][place] = value  # numpy, as Gymnasium's own vectors, makes NaN of None
+                self._episodes[name] = np.zeros(len(self), type(value))
+            self._episodes[name][place] = value
 
     def step(self, which: Ints, actions: Ints) -> None:
         """One decision in the scenes `which` (n,): actions (n,) of their egos, then 0.1 s of world and perception."""
+        for place in which.tolist():
+            self.batch_state.check_begun(place)
         play(self.batch_state.records, which, actions, True)
         if self.batch_state.clouds is not None:
             every = [self.simulations[place].sharing for place in which.tolist()]
@@ -96,6 +111,7 @@ class SceneBatch:
             "largest_message": step_info.largest_message,
             "messages_sent": step_info.messages_sent,
             "messages_lost": step_info.messages_lost,
+            "messages_refused": step_info.messages_refused,
             "refused": _REFUSALS[step_info.refused],
         }
         return masked(values, which)

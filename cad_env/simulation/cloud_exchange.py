@@ -9,7 +9,7 @@ The radio keeps to the rules, and to the chance, of `pipeline.radio`: what would
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,13 +21,13 @@ from cad_env.lidar.envelope import ENVELOPE_SIZE, Envelope, opened, seal
 from cad_env.lidar.points import KEPT, TOO_LARGE, Reads, relative, thinned
 from cad_env.numerics.philox import stream_key
 from cad_env.pipeline.observe import HORIZON
-from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, Link, fate_at, refusal
+from cad_env.pipeline.radio import ACCEPTED, LOST, NOT_SENT, REACHES, SILENT, Link, fate_at, is_as_sent, refusal
 from cad_env.pipeline.sense import Sensing
 from cad_env.pipeline.step import RADIO
 from cad_env.pipeline.varint import DecodeError
 from cad_env.simulation.scene_step import SceneState, write_radio_info
 from cad_env.types import FRAMES, STEP, Bytes, Floats, Ints
-from cad_env.world.state import World
+from cad_env.world.state import World, indices_on_map
 
 BATCH = 64  # clouds in one call of a codec; a thousand at once would not fit into memory
 
@@ -52,7 +52,18 @@ class Sharing:
         """Begin an episode: nothing is on the air."""
         self._scene, self._key = scene, stream_key(seed, "cast")
         self._air: dict[int, Sent] = {}  # by step, the newest `delay` + 1
+        self._injected: dict[int, bytes] = {}  # by sender, for the next step
         self._thinned.clear()
+
+    def move_to(self, scene: SceneState | None, view: CloudView) -> None:
+        """Go on with equal arrays that are elsewhere; None before the first start."""
+        self.view = view
+        if scene is not None:
+            self._scene = scene
+
+    def inject(self, sender: int, payload: bytes) -> None:
+        """Let a vehicle broadcast these bytes in the next step, in place of its own message."""
+        self._injected[sender] = payload
 
     @property
     def most_points(self) -> int:
@@ -64,12 +75,21 @@ class Sharing:
         """Decisions since the start."""
         return int(self._scene.clock[0])
 
-    def speakers(self) -> range:
+    def on_map(self) -> list[int]:
+        """The connected vehicles that have not left the map: who has does not sense, send or receive."""
+        return indices_on_map(self._scene.world, self._scene.fleet.rows)
+
+    def speakers(self) -> list[int]:
         """Whose clouds are wanted: without a budget nothing goes on the air, and only the ego sees its own."""
-        return range(len(self._scene.fleet.rows) if self.link.budget > 0.0 else 1)
+        return [v for v in self.on_map() if v == 0 or self.link.budget > 0.0]
 
     def cloud(self, v: int, room: Floats | None = None, ground: bool = True) -> Floats:
-        """(n, 3) m what connected vehicle v's lidar reports now, in its own frame; a part of `room`."""
+        """(n, 3) m what connected vehicle v's lidar reports now, in its own frame; a part of `room`.
+
+        Nothing is reported where v has left the map.
+        """
+        if v not in self.on_map():
+            return np.empty((0, 3))
         cloud = np.empty((self.most_points, 3)) if room is None else room
         return cloud[: cast(*self._seen_by(v), ground, cloud)]
 
@@ -105,32 +125,41 @@ class Sharing:
         trail, most = self._scene.fleet.trail, max(KEPT, self.config.codec.most)
         return [OwnCloud(self._few(v, most).copy(), trail[v, FRAMES - 1].copy()) for v in range(len(trail))]
 
-    def take(self, contents: Sequence[bytes]) -> None:
+    def take(self, contents: Mapping[int, bytes]) -> None:
         """One step, given what the codec wrote of every speaker's cloud: send, receive, merge, show and tell."""
         self.send(contents)
-        self.show(self.config.codec.decode(contents[0]), self.receive())
+        own = self.config.codec.decode(contents[0]) if 0 in contents else np.empty((0, self.view.cloud.shape[1]))
+        self.show(own, self.receive())
         write_radio_info(self._scene.step_info, self._scene.fleet.report)
 
-    def send(self, contents: Sequence[bytes]) -> None:
+    def send(self, contents: Mapping[int, bytes]) -> None:
         """Put on the air what the codec wrote of every speaker's cloud, as far as the budget goes."""
-        fleet, step = self._scene.fleet, self.step
+        fleet, step, there = self._scene.fleet, self.step, self.on_map()
         message: list[bytes | None] = []
         for v in range(len(fleet.rows)):
-            size = ENVELOPE_SIZE + len(contents[v]) if v < len(contents) else 0
-            reason = int(refusal(self.link.budget, 0, size))
+            foreign, content = self._injected.get(v), contents.get(v, b"")
+            size = ENVELOPE_SIZE + len(content) if foreign is None else len(foreign)
+            reason = int(refusal(self.link.budget, 0, size)) if v in there else SILENT
             fleet.report.refusal[v], fleet.report.sent_bytes[v] = reason, size if reason == ACCEPTED else 0
-            x, y, heading = fleet.trail[v, FRAMES - 1].tolist()
-            said = Envelope(v, STEP * step, (x, y, heading), contents[v] if v < len(contents) else b"")
-            message.append(seal(said) if reason == ACCEPTED else None)
+            if reason != ACCEPTED:
+                message.append(None)
+            else:
+                message.append(self._sealed(v, content) if foreign is None else foreign)
+        self._injected.clear()
         self._air = {sent: what for sent, what in self._air.items() if step - self.link.delay <= sent < step}
         self._air[step] = Sent(self._scene.world.position[fleet.rows], message)
+
+    def _sealed(self, v: int, content: bytes) -> bytes:
+        """The message of vehicle v with what the codec wrote of its cloud."""
+        x, y, heading = self._scene.fleet.trail[v, FRAMES - 1].tolist()
+        return seal(Envelope(v, STEP * self.step, (x, y, heading), content))
 
     def arrival(self, sender: int, receiver: int) -> tuple[int, int]:
         """What becomes, in this step, of a sender's message at a receiver (see radio.fate), and its bytes."""
         step = self.step - self.link.delay
         sent = self._air.get(step)
         message = None if sent is None or sender == receiver else sent.message[sender]
-        if sent is None or message is None:
+        if sent is None or message is None or receiver not in self.on_map():
             return NOT_SENT, 0
         dx, dy = (sent.place[receiver] - sent.place[sender]).tolist()
         end = fate_at(self.link, self._scene.keys[RADIO], math.hypot(dx, dy), step, sender, receiver, 0)
@@ -139,7 +168,7 @@ class Sharing:
     def receive(self) -> list[tuple[Floats, tuple[float, float, float]]]:
         """What reaches the ego in this step: points (k, 3 + W) with the fix of their sender, by sender."""
         report, heard = self._scene.fleet.report, []
-        report.received_bytes[0] = report.lost[0] = 0
+        report.received_bytes[0] = report.lost[0] = report.messages_refused[0] = 0
         sent = self._air.get(self.step - self.link.delay)
         for sender in range(1, len(self._scene.fleet.rows)):
             end, _ = self.arrival(sender, 0)
@@ -147,14 +176,23 @@ class Sharing:
             message = sent.message[sender] if sent is not None and end == REACHES else None
             if message is None:
                 continue
-            try:
-                envelope = opened(message)
-                points = self.config.codec.decode(envelope.content)
-            except DecodeError:
+            understood = self._understood(message, sender)
+            if understood is None:
+                report.messages_refused[0] += 1
                 continue
             report.received_bytes[0] += len(message)
-            heard.append((points, envelope.pose))
+            heard.append(understood)
         return heard
+
+    def _understood(self, message: bytes, sender: int) -> tuple[Floats, tuple[float, float, float]] | None:
+        """The points of a message and the fix of its sender, or None if any of it is not acceptable."""
+        try:
+            said = opened(message)
+            points = self.config.codec.decode(said.content)
+        except DecodeError:
+            return None
+        genuine = is_as_sent(said.sender, round(1000.0 * said.time), sender, self.step - self.link.delay)
+        return (points, said.pose) if genuine else None
 
     def show(self, own: Floats, heard: Sequence[tuple[Floats, tuple[float, float, float]]]) -> None:
         """Fill the view: own points first, then the others', placed by the fixes; of too many, every so many."""
@@ -179,7 +217,7 @@ def exchange(sharings: Sequence[Sharing], rooms: list[Bytes]) -> None:
     speakers = [(sharing, v) for sharing in sharings for v in sharing.speakers()]
     contents = _encoded(speakers, rooms)
     for sharing in sharings:
-        sharing.take([contents[id(sharing), v] for v in sharing.speakers()])
+        sharing.take({v: contents[id(sharing), v] for v in sharing.speakers()})
 
 
 def _encoded(speakers: Sequence[tuple[Sharing, int]], rooms: list[Bytes]) -> dict[tuple[int, int], bytes]:

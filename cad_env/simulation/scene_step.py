@@ -8,23 +8,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from numba import typeof
 
 from cad_env.config import RadioConfig, SensorConfig
 from cad_env.lidar.config import CloudConfig, CloudView, empty_cloud_view
 from cad_env.numerics.jit import compiled, inlined, inlined_part
-from cad_env.numerics.record_array import new_record_array, put, take
+from cad_env.numerics.record_array import CopiedWhole, new_record_array, put, take
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
-from cad_env.types import COLLISION, COMMANDS, FRAMES, SUCCESS, TIMEOUT, Bytes, Floats, Ints
+from cad_env.types import COLLISION, COMMANDS, FRAMES, MAX_STEPS, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance
 from cad_env.world.time_to_contact import time_to_contact
 
-MAX_STEPS = 300  # decisions: 30 s
 # How it stands for a vehicle, as compiled code knows it, and the reward that comes with it.
 UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3
 OUTCOME_BY_CODE = (None, SUCCESS, COLLISION, TIMEOUT)
@@ -44,6 +44,7 @@ class StepInfo(NamedTuple):
     largest_message: Ints  # bytes
     messages_sent: Ints
     messages_lost: Ints  # on their way to the ego
+    messages_refused: Ints  # by the ego, whole, of those that reached it
     refused: Ints  # why the first message that was refused was, 0 if none was
 
 
@@ -65,8 +66,11 @@ class SceneState(NamedTuple):
     scratch: Floats  # (N,)
 
 
-class BatchState:
-    """Room for so many scenes, and the arrays over all of them that the compiled loops fill."""
+class BatchState(CopiedWhole):
+    """Room for so many scenes, and the arrays over all of them that the compiled loops fill.
+
+    A copy, or what comes out of a pickle, has scenes of its own.
+    """
 
     def __init__(self, places: int, cloud: CloudConfig | None = None, commands: int = COMMANDS) -> None:
         self.step_info = _no_step_info(places)
@@ -90,6 +94,7 @@ class BatchState:
 
     def truth_at(self, place: int) -> Truth:
         """What the ego of the scene at `place` would know if it saw everything."""
+        self.check_begun(place)
         scene = self._scenes[place]
         return Truth(scene.world, scene.routes, int(scene.fleet.rows[0]))
 
@@ -98,10 +103,35 @@ class BatchState:
         _put(self.records, place, scene)
         self._scenes[place] = scene
 
+    def scene(self, place: int) -> SceneState | None:
+        """The scene that has taken a place, if one has."""
+        return self._scenes.get(place)
+
+    def check_begun(self, place: int) -> None:
+        """Refuse to go on where nothing has begun: there, compiled code would take zeros for addresses."""
+        if place not in self._scenes:
+            raise gym.error.ResetNeeded(f"no episode has begun in scene {place}: start or reset it first")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the addresses of the arrays, and scratch."""
+        kept = {name: value for name, value in self.__dict__.items() if name not in ("records", "rooms")}
+        shown = [k for k, scene in self._scenes.items() if np.shares_memory(scene.fleet.views.ego, self.views.ego)]
+        return {**kept, "shown": shown}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        shown, scenes = state.pop("shown"), state.pop("_scenes")
+        self.__dict__.update(state)
+        self.rooms, self._scenes = [], {}
+        self.records = new_record_array(KIND, len(self.step_info.outcome), self._scenes)
+        for place, scene in scenes.items():
+            # A part of an array over all scenes is copied as an array by itself: it becomes a part again.
+            fleet = scene.fleet._replace(views=self.views_at(place)) if place in shown else scene.fleet
+            self.put(place, scene._replace(fleet=fleet, step_info=self.step_info_at(place)))
+
 
 def _no_step_info(scenes: int) -> StepInfo:
     numbers = (np.zeros(scenes) for _ in range(4))
-    return StepInfo(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(6)))
+    return StepInfo(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(7)))
 
 
 def _kind() -> Any:
@@ -200,6 +230,7 @@ def write_radio_info(step_info: StepInfo, air: Report) -> None:
         if step_info.refused[0] == ACCEPTED and air.refusal[v] != SILENT:
             step_info.refused[0] = air.refusal[v]
     step_info.bytes_received[0], step_info.messages_lost[0] = air.received_bytes[0], air.lost[0]
+    step_info.messages_refused[0] = air.messages_refused[0]
 
 
 @dataclass(frozen=True)

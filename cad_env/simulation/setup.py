@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from cad_env.config import RadioConfig, SensorConfig, check_names, check_range, radio_config
+from cad_env.checks import check_mapping, check_numbers, check_range, plain, settle
+from cad_env.config import RadioConfig, SensorConfig, check_keywords, check_names, knows_its_names, radio_config
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
@@ -12,6 +13,7 @@ from cad_env.simulation.graph_exchange import GraphCodec, ShareRule
 from cad_env.types import FRAMES
 
 
+@knows_its_names("option")
 @dataclass(frozen=True)
 class Setup:
     """Everything about an environment that is not drawn from the seed."""
@@ -19,7 +21,7 @@ class Setup:
     scenario: Any = "left_turn"  # given as a name or a Scenario; afterwards its name
     ranges: Mapping[str, Any] = field(default_factory=dict)  # of the scenario, by name
     traffic: str = "light"  # none, light or dense: how much is on the road around the cast
-    penetration: float | None = None  # share of all vehicles that is connected; None: as many as `collaborators` says
+    penetration: float | None = None  # probability that a vehicle is connected; None: as many as `collaborators` says
     sensor: SensorConfig = field(default_factory=SensorConfig)
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
@@ -28,9 +30,9 @@ class Setup:
     codec: GraphCodec | None = None  # how a graph becomes bytes; None: the project's own message format
 
     def __post_init__(self) -> None:
-        check_range("depth", self.depth, 1, FRAMES)
-        if int(self.depth) != self.depth:
-            raise ValueError(f"depth must be a whole number, got {self.depth!r}")
+        check_numbers(self, "", {"depth": (1, FRAMES), "penetration": (0.0, 1.0)})
+        ranges = check_mapping("ranges", self.ranges, "the scenario's ranges")
+        settle(self, "ranges", {name: plain(value) for name, value in ranges.items()})
         if self.cloud is not None:
             check_range("sensor range with clouds", self.sensor.range, 1.0, MAX_RANGE)
         if self.share is not None and not callable(self.share):
@@ -40,9 +42,17 @@ class Setup:
         if self.cloud is not None and self.exchanges_graphs:
             raise ValueError("share and codec are for graphs: leave them out where points are shared (cloud)")
         Traffic(self.traffic, self.penetration)
+        if self.penetration is not None and "collaborators" in self.ranges:
+            raise ValueError(
+                f"penetration draws each connected vehicle by itself: leave out the range collaborators, "
+                f"got {self.ranges['collaborators']!r}"
+            )
         scenario = scenario_named(self.scenario)
         scenario.configured(dict(self.ranges))
-        object.__setattr__(self, "scenario", scenario.name)
+        settle(self, "scenario", scenario.name)
+        # Its own, so that changing the given ones later does not change what was built.
+        own = {name: tuple(value) if isinstance(value, list) else value for name, value in self.ranges.items()}
+        settle(self, "ranges", own)
 
     @property
     def exchanges_graphs(self) -> bool:
@@ -58,9 +68,9 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     >>> setup_from({"radoi": "cv2x"})
     Traceback (most recent call last):
     ...
-    cad_env.config.ConfigError: unknown option radoi='cv2x': choose among cloud, codec, ...; did you mean radio?
+    cad_env.config.UnknownNameError: unknown option radoi='cv2x': choose among cloud, codec, ...; did you mean radio?
     """
-    check_names("option", dict(options), [f.name for f in fields(Setup)])
+    check_keywords(dict(options), [f.name for f in fields(Setup)])
     given = dict(options)
     if "scenario" in given:
         given["scenario"] = scenario_named(given["scenario"]).name
@@ -73,6 +83,4 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     given["cloud"] = cloud_config(given.get("cloud"))
     if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
         raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")
-    if "ranges" in given and not isinstance(given["ranges"], Mapping):
-        raise ValueError(f"ranges must be a dict of the scenario's ranges, got {given['ranges']!r}")
     return Setup(**given)

@@ -7,19 +7,23 @@ out what it shows.
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
 import numpy as np
 
+from cad_env.checks import check_seed
 from cad_env.config import radio_config
 from cad_env.lidar.config import OwnCloud
 from cad_env.numerics.jit import announce_compilation
 from cad_env.numerics.philox import stream_key
+from cad_env.numerics.record_array import CopiedWhole
+from cad_env.pipeline.codec import MAX_BYTES
 from cad_env.pipeline.graph_arrays import as_graph
 from cad_env.pipeline.observe import as_observation, empty_view
-from cad_env.pipeline.radio import REASONS, fate, link_of
+from cad_env.pipeline.radio import NOT_SENT, REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
-from cad_env.pipeline.step import Fleet, new_fleet
+from cad_env.pipeline.step import Fleet, new_fleet, nothing_injected
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place
@@ -36,13 +40,15 @@ from cad_env.simulation.scene_step import (
 )
 from cad_env.simulation.setup import Setup
 from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
-from cad_env.world.state import Truth, World
+from cad_env.world.state import Truth, World, indices_on_map
 
 FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_CODE, FINAL_REWARDS, strict=True)))
+# What an episode has, and a simulation before its first one has not.
+_OF_AN_EPISODE = ("seed", "scene", "world", "agents", "fleet", "_keys", "_scene_state")
 REFUSALS = (None, *REASONS[1:])  # what info says of the number why a message was refused
 
 
-class Simulation:
+class Simulation(CopiedWhole):
     """The state of one episode, and what happens in a decision step; it has a place in a batch, alone or not."""
 
     def __init__(self, setup: Setup, batch_state: BatchState | None = None, place: int = 0) -> None:
@@ -65,7 +71,11 @@ class Simulation:
         self._link = link
 
     def start(self, seed: int, hazard: bool | None = None, receivers: int | None = None) -> None:
-        """Begin the episode of a seed. `receivers`: how many of the connected, in order, observe and decide."""
+        """Begin the episode of a seed, any whole number from 0 on. `hazard` True or False forces its kind.
+
+        `receivers`: how many of the connected, in order, observe and decide.
+        """
+        seed, hazard = check_seed("seed", seed), checked_hazard(hazard)
         announce_compilation("scene_step.play")
         self.seed = seed
         self.scene: Scene = self.scenario.scene(self.ranges, self.traffic, seed, hazard)
@@ -105,16 +115,26 @@ class Simulation:
         self._scene_state.actions[:] = actions
         self._play(True)
 
+    if not TYPE_CHECKING:  # which would take any attribute for granted
+
+        def __getattr__(self, name: str) -> Any:
+            if name in _OF_AN_EPISODE:
+                raise gym.error.ResetNeeded("no episode has begun: call reset() first")
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_batch_state"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_scene_state", "world", "fleet")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """A copy is a batch of one, whatever batch the original has its place in."""
+        """A copy has its place in a copy of the batch, with whatever else is in it."""
         self.__dict__.update(state)
-        commands = self.scenario.command_count
-        self._batch_state, self._place, self._which = BatchState(1, commands=commands), 0, np.zeros(1, np.int64)
-        if "_scene_state" in state:
-            self._batch_state.put(0, self._scene_state)
+        scene, clouds = self._batch_state.scene(self._place), self._batch_state.clouds_at(self._place)
+        if scene is not None:
+            self._scene_state, self.world, self.fleet = scene, scene.world, scene.fleet
+        if self.sharing is not None and clouds is not None:
+            self.sharing.move_to(scene, clouds)
+        if self.graph_exchange is not None and scene is not None:
+            self.graph_exchange.move_to(scene)
 
     def _perceive(self) -> None:
         self._play(False)
@@ -177,8 +197,13 @@ class Simulation:
         return self.steps * STEP
 
     def episode_info(self) -> dict[str, Any]:
-        """What info says of a whole episode."""
-        return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_timing": self.scene.timing}
+        """What info says of a whole episode, the same in every environment.
+
+        `hazard_time`, s: how long after an ego that never brakes the hidden vehicle is where they meet; NaN if never.
+        """
+        scene = self.scene
+        time = math.nan if scene.timing is None else float(scene.timing)
+        return {"seed": self.seed, "hazard": scene.hazard, "hazard_time": time}
 
     def info(self) -> dict[str, Any]:
         """What info says of the newest step, for the ego: plain numbers. `SceneBatch.infos` says the same of many."""
@@ -196,8 +221,40 @@ class Simulation:
             "largest_message": step_info.largest_message.item(),
             "messages_sent": step_info.messages_sent.item(),
             "messages_lost": step_info.messages_lost.item(),
+            "messages_refused": step_info.messages_refused.item(),
             "refused": REFUSALS[step_info.refused.item()],
         }
+
+    def inject(self, sender: int | np.integer[Any], payload: bytes) -> None:
+        """Let a connected vehicle, the ego is 0, broadcast these bytes in the next step in place of its own message.
+
+        They are counted, paid for, lost and delayed as any message. Nothing in them is checked here: what receivers
+        make of them is in `info["messages_refused"]`, or in what they then hold. A vehicle that leaves the map before
+        the next step sends nothing; bytes given again before it take the place of the former. ValueError for an unknown
+        vehicle, and for more than MAX_BYTES where graphs are sent in the project's own format.
+        """
+        if "fleet" not in self.__dict__:
+            raise RuntimeError("there is no episode yet: call reset() before inject()")
+        if not isinstance(payload, bytes):
+            raise TypeError(f"payload must be bytes, got {type(payload).__name__}")
+        last = len(self.agents) - 1
+        if isinstance(sender, bool) or not isinstance(sender, int | np.integer) or not 0 <= sender <= last:
+            raise ValueError(f"sender must be a connected vehicle, a whole number from 0 to {last}, got {sender!r}")
+        outside = self.sharing or self.graph_exchange
+        if outside is not None:
+            outside.inject(int(sender), payload)
+        else:
+            self._inject(int(sender), payload)
+
+    def _inject(self, sender: int, payload: bytes) -> None:
+        if len(payload) > MAX_BYTES:
+            raise ValueError(f"payload must have at most {MAX_BYTES} bytes, as no message has more, got {len(payload)}")
+        if self.fleet.injected.payload.shape[1] == 0:  # the first one: make room
+            self.fleet = self.fleet._replace(injected=nothing_injected(len(self.agents), MAX_BYTES))
+            self._scene_state = self._scene_state._replace(fleet=self.fleet)
+            self._batch_state.put(self._place, self._scene_state)
+        self.fleet.injected.length[sender] = len(payload)
+        self.fleet.injected.payload[sender, : len(payload)] = np.frombuffer(payload, np.uint8)
 
     def object_lists(self) -> list[Floats]:
         """For each connected vehicle, ego first, the (n, 3) m newest positions of the objects it tracks itself."""
@@ -213,6 +270,8 @@ class Simulation:
             return self.sharing.arrival(sender, receiver)
         if self.graph_exchange is not None:
             return self.graph_exchange.arrival(sender, receiver)
+        if receiver not in indices_on_map(self.world, self.agents):
+            return NOT_SENT, 0
         air = self.fleet.air
         end = int(fate(air, self._link, self._keys[1], self.steps, sender, receiver))
         return end, int(air.length[(self.steps - self._link.delay) % len(air.step), sender])
@@ -229,6 +288,17 @@ class Simulation:
     def merged_graph(self, agent: int) -> Graph:
         """What receiver `agent` knows with what it was sent."""
         return as_graph(_at(self.fleet.merged, agent), agent, self.time)
+
+
+def checked_hazard(hazard: Any) -> bool | None:
+    """What forces the kind of an episode, or None to draw it; ValueError for anything else.
+
+    >>> checked_hazard(np.bool_(True))
+    True
+    """
+    if hazard is not None and not isinstance(hazard, bool | np.bool_):
+        raise ValueError(f"hazard must be True, False or None, got {hazard!r}")
+    return None if hazard is None else bool(hazard)
 
 
 def outcome_of(struck: bool, arrived: bool, over: bool) -> str | None:

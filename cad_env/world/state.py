@@ -78,6 +78,11 @@ def empty_world(count: int) -> World:
     )
 
 
+def indices_on_map(world: World, rows: Ints) -> list[int]:
+    """The indices into `rows` of the vehicles that have not left the map."""
+    return [index for index, driver in enumerate(world.driver[rows].tolist()) if driver != OFF]
+
+
 def crashed(world: World) -> Bools:
     """(N,) True for every vehicle that has touched another."""
     return world.struck >= 0

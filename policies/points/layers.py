@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from cad_env.checks import check_numbers
 from cad_env.types import Floats, Ints
 from policies.layers import Linear
 from policies.points.feature_codec import CENTIMETRES
@@ -28,10 +29,7 @@ SHARE = 4  # a transition down keeps one point in so many
 
 def check_sizes(config: object, largest_allowed: Mapping[str, int], smallest: Mapping[str, int]) -> None:
     """Refuse a knob that is not a whole number from its smallest (1 where none is named) to its largest."""
-    for name, high in largest_allowed.items():
-        value, low = getattr(config, name), smallest.get(name, 1)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise ValueError(f"network {name} must be a whole number from {low} to {high}, got {value!r}")
+    check_numbers(config, "network", {name: (smallest.get(name, 1), high) for name, high in largest_allowed.items()})
 
 
 @dataclass(frozen=True)

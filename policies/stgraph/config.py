@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 
-from cad_env.config import ConfigError, check_range, did_you_mean
+from cad_env.checks import ConfigError, check_numbers, check_switch, did_you_mean, settle
 from cad_env.types import COMMANDS, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
-_SIZES = {"commands": MOST_COMMANDS, "hidden": 256, "heads": 16, "head_width": 64, "layers": 8, "mlp_width": 1024}
-_LEAST = {"commands": COMMANDS}
+_LIMITS = {
+    "commands": (COMMANDS, MOST_COMMANDS), "hidden": (1, 256), "heads": (1, 16), "head_width": (1, 64),
+    "layers": (1, 8), "mlp_width": (1, 1024), "position_scale": (1e-4, 1.0), "attn_slope": (0.0, 1.0),
+}  # fmt: skip
 _SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
 
 
@@ -24,7 +26,7 @@ class StGraphConfig:
 
     >>> StGraphConfig(fusion="first")
     Traceback (most recent call last):
-    cad_env.config.ConfigError: network fusion must be one of last, per_layer, got 'first'
+    cad_env.checks.ConfigError: network fusion must be one of last, per_layer, got 'first'
     """
 
     hidden: int = 12  # columns of W_v
@@ -52,15 +54,9 @@ class StGraphConfig:
     commands: int = COMMANDS  # that its scenarios have; more than six where one brings its own
 
     def __post_init__(self) -> None:
-        for name, most in _SIZES.items():
-            value, least = getattr(self, name), _LEAST.get(name, 1)
-            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-                raise ValueError(f"network {name} must be a whole number from {least} to {most}, got {value!r}")
+        check_numbers(self, "network", _LIMITS)
         for name in _SWITCHES:
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"network {name} must be True or False, got {getattr(self, name)!r}")
-        check_range("network position_scale", self.position_scale, 1e-4, 1.0)
-        check_range("network attn_slope", self.attn_slope, 0.0, 1.0)
+            settle(self, name, check_switch(f"network {name}", getattr(self, name)))
         _check_choice("fusion", self.fusion, FUSIONS)
         _check_choice("temporal_edges", self.temporal_edges, TEMPORAL_EDGES)
         if not self.temporal:

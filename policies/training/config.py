@@ -4,7 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from cad_env.config import check_range, radio_config
+import numpy as np
+
+from cad_env.checks import check_numbers, check_range, check_seed, check_several, settle
+from cad_env.config import radio_config
 from cad_env.types import FRAMES
 
 # Seeds of training stay below a million; those of scoring begin there. Every scenario uses the same ones.
@@ -15,7 +18,24 @@ FINALISTS = 2  # checkpoints that are validated once more
 # What one unit of each kind of work costs, relative to an optimiser step: for an honest progress bar.
 REPLAYED_COST, DRIVEN_COST = 0.9, 1.6
 
+STEPS, VALIDATION = (3, 10**7), (1, FINAL_SEEDS - VALIDATION_SEEDS)  # least and most
+_LIMITS = {
+    "depth": (1, FRAMES), "episodes": (1, DAGGER_SEEDS), "dagger_rounds": (0, 49), "dagger_episodes": (1, 10_000),
+    "mixing": (0.0, 1.0), "steps": STEPS, "segments": (1, 100), "validation": VALIDATION,
+    "final_validation": (1, LAST_SEED - FINAL_SEEDS), "batch": (1, 100_000), "learning_rate": (1e-8, 1.0),
+    "brake_share": (0.0, 1.0),
+}  # fmt: skip
+
 Advance = Callable[[float], object]  # told of work that was done
+
+
+def _check_threshold(name: str, value: Any) -> float:
+    return check_range(name, value, 0.0, 1.0)
+
+
+def small_seed(seed: int) -> int:
+    """A seed as torch and Stable-Baselines3 take it, below 2**32: itself where it is, else drawn from it."""
+    return seed if seed < 2**32 else int(np.random.SeedSequence(seed).generate_state(1)[0])
 
 
 def _shipped() -> tuple[str, ...]:
@@ -50,21 +70,15 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         from cad_env.scenarios import scenario_named
 
-        object.__setattr__(self, "scenarios", tuple(scenario_named(each).name for each in self.scenarios))
+        settle(self, "scenarios", check_several("scenarios", self.scenarios, lambda _, each: scenario_named(each).name))
         if not self.scenarios or len(set(self.scenarios)) < len(self.scenarios):
             raise ValueError(f"scenarios must name at least one, each once, got {' '.join(self.scenarios)!r}")
         radio_config(self.radio)
-        for name, low, high in (
-            ("depth", 1, FRAMES), ("seed", 0, 2**31), ("episodes", 1, DAGGER_SEEDS), ("dagger_rounds", 0, 49),
-            ("dagger_episodes", 1, 10_000), ("mixing", 0.0, 1.0), ("steps", 3, 10**7), ("segments", 1, 100),
-            ("validation", 1, FINAL_SEEDS - VALIDATION_SEEDS), ("final_validation", 1, LAST_SEED - FINAL_SEEDS),
-            ("batch", 1, 100_000), ("learning_rate", 1e-8, 1.0), ("brake_share", 0.0, 1.0),
-        ):  # fmt: skip
-            check_range(name, getattr(self, name), low, high)
+        settle(self, "seed", check_seed("seed", self.seed))
+        check_numbers(self, "", _LIMITS)
+        settle(self, "thresholds", check_several("thresholds", self.thresholds, _check_threshold))
         if not self.thresholds or len(set(self.thresholds)) < len(self.thresholds):
             raise ValueError(f"thresholds must be at least one, each once, got {self.thresholds}")
-        for threshold in self.thresholds:
-            check_range("thresholds", threshold, 0.0, 1.0)
         self.frames_of_each(len(self.scenarios))
         self._settle_network()
 
@@ -73,7 +87,7 @@ class TrainingConfig:
         from policies.spec import fitting
 
         network = spec_named(self.spec).config_type() if self.network is None else self.network
-        object.__setattr__(self, "network", fitting(network, self.scenarios))
+        settle(self, "network", fitting(network, self.scenarios))
 
     def frames_of_each(self, scenarios: int) -> tuple[int, int]:
         """Frames of every scenario in a batch: braking, going. ValueError if there are none of either."""

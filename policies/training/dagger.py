@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from cad_env.checks import check_path
 from cad_env.envs.vector import CADVectorEnv
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.registry import spec_named
@@ -30,6 +31,7 @@ from policies.training.config import (
     VALIDATION_SEEDS,
     Advance,
     TrainingConfig,
+    small_seed,
 )
 from policies.training.demonstrations import Demonstrations, record
 from policies.training.frame_cache import frames_of
@@ -84,22 +86,25 @@ class _Run:
         return load_state(checkpoint(self.folder, turn, segment), self.network, self.optimiser)
 
 
-def record_demonstrations(folder: Path, scenario: str, episodes: int, advance: Advance) -> list[Demonstrations]:
+def record_demonstrations(folder: str | Path, scenario: str, episodes: int, advance: Advance) -> list[Demonstrations]:
     """The expert's episodes of a scenario, kept in `folder`/<scenario>; it sees the truth, so nothing is sent."""
+    folder = check_path("folder", folder)
     envs = CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio="none")
     return record(folder / scenario, envs, None, range(EXPERT_SEEDS, EXPERT_SEEDS + episodes), advance)
 
 
 def train_network(
     config: TrainingConfig,
-    folder: Path,
+    folder: str | Path,
     advance: Advance,
-    demonstrations: Path | None = None,
+    demonstrations: str | Path | None = None,
 ) -> None:
     """Train one network into `folder` (the model and how it came about), resuming where it stopped.
 
     `demonstrations` is where the expert's episodes are, or are put; several networks may share it.
     """
+    folder = check_path("folder", folder)
+    shared = folder / "demonstrations" if demonstrations is None else check_path("demonstrations", demonstrations)
     torch.set_num_threads(1)  # the graphs are small: a second thread waits more than it works
     if (folder / "config.json").exists():
         load_model(folder)
@@ -107,13 +112,9 @@ def train_network(
         return
     folder.mkdir(parents=True, exist_ok=True)
     spec = spec_named(config.spec)
-    network = spec.build(config.network, seed=config.seed)
+    network = spec.build(config.network, seed=small_seed(config.seed))
     optimiser = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
-    log, finals, shared = (
-        Log(folder / CHECKPOINTS_LOG),
-        Log(folder / FINALISTS_LOG),
-        demonstrations or folder / "demonstrations",
-    )
+    log, finals = Log(folder / CHECKPOINTS_LOG), Log(folder / FINALISTS_LOG)
     run = _Run(config, folder, shared, spec, network, optimiser, log, finals, advance)
     frames: dict[str, Frames] = {}
     known = 0  # rounds whose frames are in there

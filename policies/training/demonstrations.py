@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import FileError, parse_json, shortened
 from cad_env.rules.expert import decisions, expert_of

@@ -18,7 +18,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
 from torch import Tensor, nn
 
-from cad_env.config import check_range, radio_config
+from cad_env.checks import check_numbers, check_path, check_seed, check_several, check_whole
+from cad_env.config import radio_config
 from cad_env.scenarios import SHIPPED, scenario_named
 from policies.layers import Linear
 from policies.model_folder import SavedModel, load_model, save_model
@@ -26,6 +27,7 @@ from policies.spec import fitting
 from policies.stgraph.compiled.module import fused_embedding
 from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.training.cloning import load_state, save_state
+from policies.training.config import small_seed
 from policies.training.sb3_env import Scenes
 
 SCENES_AT_ONCE, ROLLOUT = 48, 64  # scenes at once, and decisions in each of them between two updates
@@ -49,11 +51,11 @@ class PpoConfig:
 
     def __post_init__(self) -> None:
         radio_config(self.radio)
-        for name, low, high in (
-            ("learning_rate", 1e-7, 1.0), ("discount", 0.0, 1.0), ("advantage", 0.0, 1.0), ("clip", 0.0, 1.0),
-            ("entropy", 0.0, 1.0), ("epochs", 1, 100), ("batch", 2, SCENES_AT_ONCE * ROLLOUT),
-        ):  # fmt: skip
-            check_range(name, getattr(self, name), low, high)
+        limits = {
+            "learning_rate": (1e-7, 1.0), "discount": (0.0, 1.0), "advantage": (0.0, 1.0), "clip": (0.0, 1.0),
+            "entropy": (0.0, 1.0), "epochs": (1, 100), "batch": (2, SCENES_AT_ONCE * ROLLOUT),
+        }  # fmt: skip
+        check_numbers(self, "", limits)
 
 
 class Embedding(BaseFeaturesExtractor):
@@ -71,7 +73,7 @@ class Embedding(BaseFeaturesExtractor):
 
 
 def train_ppo(
-    folder: Path,
+    folder: str | Path,
     steps: int,
     seed: int = 0,
     scenarios: Sequence[str] = SHIPPED,
@@ -83,12 +85,10 @@ def train_ppo(
     Resumes where it stopped; `advance` is told of decisions as they are done.
     """
     config = config or PpoConfig()
-    check_range("steps", steps, 1, 10**9)
-    check_range("seed", seed, 0, 2**31)
-    for name in scenarios:
-        scenario_named(name)
+    folder, steps, seed = check_path("folder", folder), check_whole("steps", steps, 1, 10**9), check_seed("seed", seed)
+    scenarios = check_several("scenarios", scenarios, lambda _, name: scenario_named(name).name)
     config = replace(config, network=fitting(config.network, scenarios))
-    parts = -(-int(steps) // PART)
+    parts = -(-steps // PART)
     if (folder / "config.json").exists():
         load_model(folder)
         advance(parts * PART)
@@ -110,7 +110,7 @@ def train_ppo(
 
 def _learner(scenes: Scenes, config: PpoConfig, seed: int) -> PPO:
     """The algorithm around a new network, of which `seed` draws the first weights."""
-    set_random_seed(seed)
+    set_random_seed(small_seed(seed))
     wide = config.network.mlp_width
     return PPO(
         "MultiInputPolicy", scenes, learning_rate=config.learning_rate, n_steps=ROLLOUT, batch_size=config.batch,
@@ -118,7 +118,7 @@ def _learner(scenes: Scenes, config: PpoConfig, seed: int) -> PPO:
         ent_coef=config.entropy, device="cpu",
         policy_kwargs={
             "features_extractor_class": Embedding,
-            "features_extractor_kwargs": {"config": config.network, "seed": seed},
+            "features_extractor_kwargs": {"config": config.network, "seed": small_seed(seed)},
             "net_arch": {"pi": [wide, wide], "vf": list(CRITIC)},
             "activation_fn": nn.ReLU,
         },
@@ -136,7 +136,7 @@ class _Kept(nn.Module):
 
 def _learn(model: PPO, seed: int, part: int) -> None:
     """One part, on episodes of its own."""
-    set_random_seed(seed + 1_000_003 * part)  # the library draws from global chance
+    set_random_seed(small_seed(seed + 1_000_003 * part))  # the library draws from global chance
     scenes = model.get_env()
     assert scenes is not None
     scenes.seed(seed + 1_000_003 * part)

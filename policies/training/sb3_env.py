@@ -58,7 +58,7 @@ class Scenes(VecEnv):
         for place in np.flatnonzero(over).tolist():
             infos[place] = {
                 "terminal_observation": {name: seen[name][place] for name in self.names},
-                "TimeLimit.truncated": bool(cut[place]),
+                "TimeLimit.truncated": bool(cut[place] and not ended[place]),
                 "episode": {"r": float(self._earned[place]), "l": int(self._length[place])},
             }
         if over.any():

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.files import FileError, parse_json, read_rows, replace_text, shortened
 from cad_env.scoring.rollout import Episode
 from policies.training.cloning import Worth

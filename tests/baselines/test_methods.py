@@ -23,7 +23,7 @@ from baselines.methods import (
 )
 from baselines.paper.command import ReproduceSettings, plan_of
 from baselines.training.command import TrainSettings
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.envs.single import CADEnv
 from cad_env.files import FileError
 from cad_env.scoring.rollout import BatchPolicy, rollout

@@ -1,5 +1,6 @@
 """Films of episodes: as long as the episode, readable, and small; two side by side."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -73,3 +74,18 @@ def test_films_that_do_not_fit_are_refused():
         side_by_side([], cards(1))
     with pytest.raises(ValueError, match="got 30 and 31 pixels"):
         side_by_side(cards(1), [np.zeros((31, 5, 3), np.uint8)])
+
+
+def test_a_film_that_cannot_be_finished_leaves_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    before = write_gif(cards(0, 80), tmp_path / "film.gif").read_bytes()
+
+    def torn(image: PIL.Image.Image, target: Path | io.BytesIO, *_: object, **__: object) -> None:
+        with open(target, "wb") if isinstance(target, Path) else target as file:
+            file.write(b"GIF89a")
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(PIL.Image.Image, "save", torn)
+    with pytest.raises(KeyboardInterrupt):
+        write_gif(cards(160, 240), tmp_path / "film.gif")
+    assert (tmp_path / "film.gif").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["film.gif"]

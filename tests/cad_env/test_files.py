@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.files import (
     MOST_DIGITS,
     MOST_NESTED,

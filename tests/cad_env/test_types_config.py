@@ -10,14 +10,14 @@ from scenes import boxes
 from stages import detect, nodes_and_edges
 
 import cad_env
+from cad_env.checks import ConfigError, check_range
 from cad_env.config import (
     RADIO_PRESETS,
-    ConfigError,
     RadioConfig,
     SensorConfig,
+    UnknownNameError,
+    check_keywords,
     check_names,
-    check_range,
-    did_you_mean,
     radio_config,
 )
 from cad_env.numerics.philox import stream_key
@@ -96,18 +96,23 @@ def test_names_are_checked_with_value_and_choices():
         check_names("thing", {"a": 1, "c": [1]}, ["b", "a"])
 
 
-@pytest.mark.parametrize(
-    ("given", "nearest"),
-    [("cv2v", "cv2x"), ("CV2X", "cv2x"), ("dsrk", "dsrc"), ("5g", None), ("", None), (7, None), (None, None),
-     ("cv2x" * 10**6, None)],
-)  # fmt: skip
-def test_the_nearest_name_is_offered(given: object, nearest: str | None):
-    assert did_you_mean(given, ["dsrc", "cv2x"]) == ("" if nearest is None else f"; did you mean {nearest}?")
-
-
 def test_a_misspelt_key_is_answered_with_the_nearest():
     with pytest.raises(ConfigError, match=re.escape("unknown thing rnage=1: choose among noise, range; did you mean ")):
         check_names("thing", {"rnage": 1}, ["range", "noise"])
+
+
+@pytest.mark.parametrize("kind", [ConfigError, TypeError, UnknownNameError])
+def test_an_unknown_keyword_is_what_python_and_what_our_users_expect(kind: type[Exception]):
+    check_keywords({"a": 1}, ["a", "b"])
+    said = "unknown option c=[1]: choose among a, b (__init__() got an unexpected keyword argument 'c')"
+    with pytest.raises(kind, match=f"^{re.escape(said)}$"):
+        check_keywords({"a": 1, "c": [1]}, ["b", "a"])
+
+
+def test_an_unknown_keyword_is_answered_with_the_nearest():
+    said = "unknown option rnage=1: choose among noise, range (__init__() got an unexpected keyword argument 'rnage')"
+    with pytest.raises(UnknownNameError, match=f"^{re.escape(said)}; did you mean range[?]$"):
+        check_keywords({"rnage": 1}, ["range", "noise"])
 
 
 def test_whole_numbers_are_numbers():

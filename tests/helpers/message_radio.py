@@ -53,27 +53,36 @@ class Radio:
         """Broadcast to all others at `positions`, m, which holds the sender's own too; times must not run back."""
         if not isinstance(message.payload, bytes):
             raise TypeError(f"payload must be bytes, so that its size is what it costs; got {type(message.payload)}")
+        if message.sender not in positions:
+            raise ValueError(f"positions must say where sender {message.sender} is, got those of {list(positions)}")
         step, size = _step_at(message.sent_at), len(message.payload)
         slot, spent, number = self._slots.get(message.sender, (step, 0, 0))
         if step < slot:
             raise ValueError(f"sent_at {message.sent_at} s is before an earlier message of sender {message.sender}")
         if step > slot:
             spent, number = 0, 0
+        fates = self._fates(message.sender, step, number, positions)  # whatever raises does so before anything counts
         reason = refusal(self.link.budget, spent, size)
         if reason != ACCEPTED:
             self.count["refused"] += 1
             return SendResult(False, REASONS[reason], size)
         self._slots[message.sender] = (step, spent + size, number + 1)
         self.count.update(sent=1, bytes=size)
-        here = positions[message.sender]
-        for receiver, there in positions.items():
-            if receiver != message.sender:
-                away = math.hypot(there[0] - here[0], there[1] - here[1])
-                outcome = fate_at(self.link, self._key, away, step, message.sender, receiver, number)
-                self.count[("", "in_flight", "lost", "out_of_range")[outcome]] += 1
-                if outcome == REACHES:
-                    self._under_way.setdefault(receiver, []).append((step + self.link.delay, message))
+        for receiver, outcome in fates.items():
+            self.count[("", "in_flight", "lost", "out_of_range")[outcome]] += 1
+            if outcome == REACHES:
+                self._under_way.setdefault(receiver, []).append((step + self.link.delay, message))
         return SendResult(True, None, size)
+
+    def _fates(
+        self, sender: int, step: int, number: int, positions: Mapping[int, Floats | tuple[float, float]]
+    ) -> dict[int, int]:
+        """What becomes at every other vehicle of a sender's `number`-th message in a slot."""
+        x, y = positions[sender]
+        away = {other: math.hypot(there[0] - x, there[1] - y) for other, there in positions.items() if other != sender}
+        return {
+            other: fate_at(self.link, self._key, metres, step, sender, other, number) for other, metres in away.items()
+        }
 
     def deliver(self, receiver: int, now: float) -> list[Message]:
         """What has arrived at `receiver` by `now`, s, and was not delivered before; by time sent, then sender."""

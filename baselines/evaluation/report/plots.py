@@ -12,7 +12,7 @@ from cad_env.scoring.interval import wilson
 from cad_env.scoring.scorecard import Record, Scorecard
 from cad_env.types import Floats
 
-BINS = 6  # of the hazard timing
+BINS = 6  # of the hazard time
 Knows = Mapping[str, str]  # method -> what it knows
 
 
@@ -28,7 +28,7 @@ class Plot:
 def all_plots(rows: Sequence[Scorecard], records: Sequence[Record], knows: Knows) -> list[Plot]:
     """All plots that have something to show."""
     whole = [row for row in rows if row.hazard == "all"]
-    timed = [record for record in records if record.hazard and record.hazard_timing is not None]
+    timed = [record for record in records if record.hazard and record.hazard_time is not None]
     with styled():
         drawn = [collisions(whole, knows), successes(whole, knows)]
         if any(row.bytes_per_second for row in whole):
@@ -102,13 +102,13 @@ def radio(rows: Sequence[Scorecard], knows: Knows) -> Plot:
 
 
 def timing(records: Sequence[Record], knows: Knows) -> Plot:
-    """Collision rate of episodes with a hazard against its timing: a row of panels for each method."""
+    """Collision rate of episodes with a hazard against its time: a row of panels for each method."""
     names, scenarios = _names(records), _scenarios(records)
     figure, grid = panels(scenarios, len(names), 0.9 + 0.75 * len(names), sharex="col")
     for name, row_of_panels in zip(names, grid, strict=True):
         for scenario, axes in row_of_panels.items():
             here = [record for record in records if record.scenario == scenario]
-            times = np.array([record.hazard_timing for record in here], float)
+            times = np.array([record.hazard_time for record in here], float)
             edges = np.linspace(times.min(), max(times.max(), times.min() + 0.1), BINS + 1)
             _timing_line(axes, [record for record in here if record.method == name], knows, edges)
             axes.set(ylim=(-4, 104), yticks=(0, 50, 100))
@@ -116,14 +116,14 @@ def timing(records: Sequence[Record], knows: Knows) -> Plot:
     for axes in grid[-1].values():
         axes.set_xlabel("hidden vehicle after an unbraked ego, s")
     caption = (
-        f"Collisions, per cent of the episodes with a hazard, in {BINS} bins of its timing: how much later than an ego "
+        f"Collisions, per cent of the episodes with a hazard, in {BINS} bins of its time: how much later than an ego "
         "that never brakes the hidden vehicle would be where they meet. Shaded: the 95 % Wilson interval."
     )
-    return Plot("Collisions against hazard timing", caption, as_svg(figure))
+    return Plot("Collisions against hazard time", caption, as_svg(figure))
 
 
 def _timing_line(axes: Axes, records: Sequence[Record], knows: Knows, edges: Floats) -> None:
-    times = np.array([record.hazard_timing for record in records], float)
+    times = np.array([record.hazard_time for record in records], float)
     bins = np.clip(np.digitize(times, edges) - 1, 0, BINS - 1)
     crashed = np.array([record.outcome == "collision" for record in records])
     filled = np.unique(bins)

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from baselines.cli import Progress
+from baselines.evaluation import gifs
 from baselines.evaluation.gifs import first_of_each, write_gifs
 from baselines.evaluation.run import drive_task
 from baselines.evaluation.settings import Settings
@@ -50,3 +52,25 @@ def test_an_episode_that_does_not_end_as_recorded_is_refused(records: list[Recor
         write_gifs(SETTINGS, [wrong], tmp_path, 1)
     assert "\n" not in str(refusal.value)
     assert not list(tmp_path.iterdir())
+
+
+def test_worker_processes_draw_what_this_one_does_and_both_tell_how_far_they_are(
+    records: list[Record], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    told: list[tuple[float, float, str]] = []
+    monkeypatch.setattr(Progress, "update", lambda bar, done: told.append((done, bar._total, bar._what)))
+    short = [record for record in records if record.outcome == "collision"][:1]
+    chosen = [*short, replace(short[0], scenario="left_turn", method="expert", outcome="success")]
+    alone = write_gifs(SETTINGS, chosen, tmp_path / "alone", 1)
+    monkeypatch.delattr(gifs, "filmed")  # this process can draw nothing any more
+    together = write_gifs(replace(SETTINGS, jobs=2), chosen, tmp_path / "together", 1)
+    assert [path.name for path in together] == [path.name for path in alone]
+    assert [path.read_bytes() for path in together] == [path.read_bytes() for path in alone]
+    assert told == [(1, 2, "drawing")] * 4
+
+
+def test_a_worker_refuses_an_episode_that_does_not_end_as_recorded(records: list[Record], tmp_path: Path):
+    wrong = [replace(records[0], outcome=outcome) for outcome in ("timeout", "success")]
+    with pytest.raises(ValueError, match="ends in collision, but was recorded as"):
+        write_gifs(replace(SETTINGS, jobs=2), wrong, tmp_path / "gifs", 1)
+    assert not (tmp_path / "gifs").exists()

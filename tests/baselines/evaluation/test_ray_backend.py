@@ -1,11 +1,16 @@
 """Where ray is installed, it gives the files of one process; where it is not, it says so."""
 
+import signal
+import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
 import evaluate
+from baselines.evaluation.ray_backend import on_ray
+from baselines.signals import Terminated, sigterm_as_ctrl_c
 
 SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-own", "--episodes", "30", "--no-report"]
 
@@ -27,6 +32,25 @@ def test_without_ray_the_backend_is_refused_with_what_to_install(
         "error: backend ray needs ray, which is not installed: pip install 'cad-env[ray]'\n"
     )
     assert not (tmp_path / "out").exists()
+
+
+def test_sigterm_is_not_left_to_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    def init(**_: object) -> None:
+        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(number))
+
+    found = ModuleType("ray")
+    found.__dict__.update(
+        init=init, is_initialized=lambda: False, shutdown=lambda: None, get=lambda done: done,
+        remote=lambda work: SimpleNamespace(remote=work), wait=lambda waiting: (waiting[:1], waiting[1:]),
+    )  # fmt: skip
+    monkeypatch.setitem(sys.modules, "ray", found)
+    errors = ModuleType("ray.exceptions")
+    errors.__dict__.update(RayError=OSError, RayTaskError=ValueError)
+    monkeypatch.setitem(sys.modules, "ray.exceptions", errors)
+    with sigterm_as_ctrl_c():
+        assert list(on_ray(abs, [-1, -2], 1)) == [1, 2]
+        with pytest.raises(Terminated):
+            signal.raise_signal(signal.SIGTERM)
 
 
 def test_an_unknown_backend_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

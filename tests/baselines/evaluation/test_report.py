@@ -64,7 +64,7 @@ def some_records(
         record = replace(
             bare, scenario=scene, method=name, seed=seed, hazard=hazard, messages_sent=sent, bytes_total=250 * sent,
             bytes_per_message_mean=250.0 if sent else None, bytes_per_message_max=480 if sent else None,
-            hazard_timing=chance.uniform(-1.0, 1.0) if hazard else None, min_ttc=chance.random(),
+            hazard_time=chance.uniform(-1.0, 1.0) if hazard else None, min_ttc=chance.random(),
             outcome=chance.choice(["success", "collision", "timeout"]),
         )  # fmt: skip
         records.append(record)
@@ -115,7 +115,7 @@ def test_the_page_fetches_nothing(folder: Path) -> None:
 def test_the_plots_are_there_with_titles_and_captions(folder: Path) -> None:
     page = Page(folder / "report.html")
     assert list(page.images) == [
-        "Collisions", "Successes", "Safety against bytes on the air", "Collisions against hazard timing",
+        "Collisions", "Successes", "Safety against bytes on the air", "Collisions against hazard time",
     ]  # fmt: skip
     for title, source in page.images.items():
         kind, data = source.split(",")
@@ -139,7 +139,7 @@ def test_a_point_moves_with_its_rate() -> None:
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_runs_of_one_kind_of_episode_have_a_page_too(share: float, tmp_path: Path) -> None:
     page = Page(written(tmp_path, few_records(share)))
-    assert ("Collisions against hazard timing" in page.images) == (share > 0.0)
+    assert ("Collisions against hazard time" in page.images) == (share > 0.0)
 
 
 def test_silence_needs_no_plot_of_bytes(tmp_path: Path) -> None:
@@ -168,7 +168,7 @@ def test_the_command_writes_a_report_that_names_the_command(tmp_path: Path, caps
     assert str(tmp_path / "report.html") in capsys.readouterr().out
     page = Page(tmp_path / "report.html")
     assert "python evaluate.py --scenario left_turn --method always-go --episodes 2 --hazard yes" in page.text
-    assert "Collisions against hazard timing" in page.images  # so the timing of a hazard comes from the scene
+    assert "Collisions against hazard time" in page.images  # so the timing of a hazard comes from the scene
 
 
 def test_the_command_animates_an_episode_of_each_kind(tmp_path: Path) -> None:

@@ -2,14 +2,11 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from stopped_runs import AT_FIRST_EPISODE, last_words, stopped_run
 
 import evaluate
 from baselines.evaluation import run as scoring
@@ -25,7 +22,7 @@ LONG = ["--scenario", "left_turn", "--method", "always-brake", "--episodes", "75
 LINE = (
     '{"scenario": "left_turn", "method": "always-go", "seed": 7, "hazard": true, "outcome": "success", "time": %s, '
     '"brakes": 0, "bytes_per_message_mean": null, "bytes_per_message_max": null, "messages_sent": 0, '
-    '"messages_lost": 0, "bytes_total": 0, "min_ttc": null, "hazard_timing": null, "connected": 4, "hardest_brake": 0}'
+    '"messages_lost": 0, "bytes_total": 0, "min_ttc": null, "hazard_time": null, "connected": 4, "hardest_brake": 0}'
     "\n"
 )
 
@@ -205,26 +202,24 @@ def test_an_interruption_loses_no_episode_that_has_ended(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
-@pytest.mark.parametrize(("how", "code"), [("SIGINT", 130), ("SIGKILL", -9)])
+@pytest.mark.parametrize(
+    ("how", "everywhere", "jobs", "code"),
+    [
+        ("SIGINT", True, 2, 130), ("SIGTERM", True, 2, 143), ("SIGTERM", False, 2, 143), ("SIGTERM", False, 1, 143),
+        ("SIGKILL", False, 2, -9),
+    ],
+)  # fmt: skip
 def test_a_stopped_run_leaves_no_worker_and_goes_on(
-    how: str, code: int, long_run: dict[str, bytes], tmp_path: Path
+    how: str, everywhere: bool, jobs: int, code: int, long_run: dict[str, bytes], tmp_path: Path
 ) -> None:
-    command = [sys.executable, evaluate.__file__, *LONG, "--jobs", "2", "--out", str(tmp_path)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    path = tmp_path / "episodes.jsonl"
-    while process.poll() is None and not (path.exists() and path.stat().st_size):
-        time.sleep(0.01)
-    # Ctrl-C reaches every process of a terminal, a kill only one.
-    (os.killpg if how == "SIGINT" else os.kill)(process.pid, getattr(signal, how))
-    said = process.communicate(timeout=60)[1]  # ends only when the workers, who share standard error, have ended
-    assert process.returncode == code
-    if how == "SIGINT":
-        assert said.count("\n") == 1
-        assert "run the same command to resume" in said
-    done_before = records(tmp_path)
-    assert 1 <= len(done_before) < 75
-    assert run(tmp_path, *LONG) == 0
-    assert files(tmp_path) == long_run
+    command = [*LONG, "--jobs", str(jobs), "--no-report", "--out", str(tmp_path / "out")]
+    ended, said = stopped_run("evaluate", command, AT_FIRST_EPISODE, how, everywhere, tmp_path)
+    assert ended == code
+    if how != "SIGKILL":
+        assert last_words(said) == ["stopped after 1 of 75 episodes; run the same command to resume"]
+    assert len(records(tmp_path / "out")) == 1
+    assert run(tmp_path / "out", *LONG) == 0
+    assert files(tmp_path / "out") == long_run
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import torch
+from stopped_runs import AT_FIRST_LOOK, last_words, stopped_run
 
 from baselines.cli import parsed
 from baselines.evaluation.grid import Task as Episodes
@@ -233,6 +234,13 @@ def test_what_failed_is_told_and_kept_though_the_next_stage_is_interrupted(
     assert reproduce.main(["--method", "command-only", "always-go", "--out", str(run)]) == 130
     assert "failed: train command-only seed 0: ValueError" in capsys.readouterr().err
     assert "Traceback" in (run / "failures.txt").read_text()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_a_stopped_run_leaves_no_worker_and_says_how_to_resume(tmp_path: Path) -> None:
+    ended, said = stopped_run("reproduce", ["--out", "run"], AT_FIRST_LOOK, "SIGTERM", True, tmp_path)
+    assert (ended, last_words(said)) == (143, ["stopped; run the same command to resume"])
+    assert not (tmp_path / "run" / reproduce.FAILURES).exists()
 
 
 def test_a_reason_is_one_line_however_many_its_error_has() -> None:

@@ -1,15 +1,16 @@
 """The training command, as its users run it."""
 
 import json
+import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
+from stopped_runs import AT_FIRST_REPORT, last_words, stopped_run
 
 from baselines.evaluation.run import opened_store
 from baselines.evaluation.training_seeds import runs_of
@@ -30,22 +31,26 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, str(ROOT / "train.py"), *arguments]
 
 
+RESUME = ["stopped; run the same command to resume"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_stopped_by_sigterm_it_ends_as_by_ctrl_c(tmp_path: Path) -> None:
+    ended, said = stopped_run("train", [*TINY, "--out", "run"], AT_FIRST_REPORT, "SIGTERM", True, tmp_path)
+    assert (ended, last_words(said)) == (143, RESUME)
+    assert list(tmp_path.glob("run/demonstrations/*/shard_?????.npz"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    first = subprocess.Popen(command(*TINY, "--out", str(out)), stderr=subprocess.PIPE, text=True, cwd=tmp_path)
-    deadline = time.monotonic() + 300
-    while not list(out.glob("demonstrations/*/shard_?????.npz")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    first.send_signal(signal.SIGINT)
-    _, errors = first.communicate(timeout=120)
-    assert first.returncode == 130
-    assert "run the same command to resume" in errors
-    assert "Traceback" not in errors
-    # A shard that is begun goes when it is whole, which may be now.
+    ended, said = stopped_run("train", [*TINY, "--out", str(out)], AT_FIRST_REPORT, "SIGINT", True, tmp_path)
+    assert (ended, last_words(said)) == (130, RESUME)
+    # Every process has ended, so nothing is renamed any more. A shard that is begun goes when it is whole.
     kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("demonstrations/*/shard_?????.npz")}
     assert kept
     second = subprocess.run(
-        command(*TINY, "--out", str(out)), capture_output=True, text=True, cwd=tmp_path, timeout=900, check=False
+        command(*TINY, "--out", str(out)), capture_output=True, text=True, cwd=tmp_path, timeout=PATIENCE, check=False
     )
     assert second.returncode == 0, second.stderr
     assert all(shard.stat().st_mtime_ns == then for shard, then in kept.items())
@@ -63,7 +68,7 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
         (["--scenario", "left_turn", "left_turn"], "each once.*left_turn left_turn"),
         (["--radio", "dsrk"], "dsrk.*dsrc"),
         (["--radio", "none"], "radio must be one that carries something"),
-        (["--episodes", "0"], "episodes must be a number from 1"),
+        (["--episodes", "0"], "episodes must be a whole number from 1"),
         (["--steps", "many"], "steps"),
         (["--setps", "9"], "setps"),
         (["--method", "stgraf"], "stgraf.*stgraph-own"),

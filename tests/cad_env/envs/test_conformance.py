@@ -12,15 +12,17 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
+from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, TimeAwareObservation
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import cad_env
+from cad_env.envs.single import CADEnv
+from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import SCENARIOS
-from cad_env.types import BRAKE, GO
+from cad_env.types import BRAKE, GO, MAX_STEPS
 
 ID = "CADLeftTurn-v0"
 EVERY_ID = pytest.mark.parametrize("env_id", [scenario.gym_id for scenario in SCENARIOS.values()])
@@ -170,3 +172,74 @@ def test_a_seeded_action_space_survives_a_reset():
     env.action_space.seed(3)
     env.reset(seed=0)
     assert [int(env.action_space.sample()) for _ in range(20)] == first
+
+
+@pytest.mark.parametrize("env_id", ["CADScenario-v0", *(scenario.gym_id for scenario in SCENARIOS.values())])
+def test_a_spec_says_how_many_decisions_an_episode_has(env_id: str):
+    assert gym.spec(env_id).max_episode_steps == MAX_STEPS
+    assert gym.make(env_id, scenario=next(iter(SCENARIOS))).spec.max_episode_steps == MAX_STEPS
+
+
+def test_gymnasium_s_observation_of_the_time_ends_when_time_is_up():
+    env = TimeAwareObservation(gym.make(ID), flatten=False, normalize_time=False)
+    observation, _ = env.reset(seed=0)
+    assert observation["time"] == 0
+    assert observation in env.observation_space
+    truncated = False
+    while not truncated:
+        observation, _, terminated, truncated, _ = env.step(BRAKE)
+        assert not terminated
+    assert observation["time"] == MAX_STEPS
+
+
+def waits_then_goes(wait: int) -> Iterator[int]:
+    """Brakes so many decisions, and goes until the end."""
+    yield from [BRAKE] * wait
+    while True:
+        yield GO
+
+
+def flags(env: gym.Env, wait: int) -> list[tuple[bool, bool, str | None]]:
+    """(terminated, truncated, outcome) of every decision."""
+    env.reset(seed=0, options={"hazard": False})
+    found: list[tuple[bool, bool, str | None]] = []
+    for action in waits_then_goes(wait):
+        _, _, terminated, truncated, info = env.step(action)
+        found.append((terminated, truncated, info["outcome"]))
+        if terminated or truncated:
+            return found
+    raise AssertionError
+
+
+def flags_of_many(envs: gym.vector.VectorEnv, wait: int) -> list[tuple[bool, bool, str | None]]:
+    """The same of a vector of one environment."""
+    envs.reset(seed=0, options={"hazard": False})
+    found: list[tuple[bool, bool, str | None]] = []
+    for action in waits_then_goes(wait):
+        _, _, terminations, truncations, infos = envs.step(np.array([action]))
+        found.append((bool(terminations[0]), bool(truncations[0]), infos["outcome"][0]))
+        if found[-1][0] or found[-1][1]:
+            return found
+    raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("later", "end"),
+    [(-1, (True, False, "success")), (0, (True, True, "success")), (1, (False, True, "timeout"))],
+    ids=["before time is up", "in the last decision", "too late"],
+)
+def test_gymnasium_s_time_limit_changes_nothing(later: int, end: tuple[bool, bool, str]):
+    options = {"traffic": "none", "radio": "none"}
+    early = MAX_STEPS // 2
+    wait = early + MAX_STEPS - len(flags(CADEnv(**options), early)) + later  # whoever stands starts the same later on
+    expected = flags(CADEnv(**options), wait)
+    assert expected[-1] == end
+    assert len(expected) == min(MAX_STEPS + later, MAX_STEPS)
+    assert set(expected[:-1]) == {(False, False, None)}
+    made = gym.make(ID, **options)
+    assert flags(made, wait) == expected
+    assert flags(gym.make(EnvSpec.from_json(made.spec.to_json())), wait) == expected
+    assert flags(gym.make(ID, max_episode_steps=-1, **options), wait) == expected
+    assert flags_of_many(CADVectorEnv(1, **options), wait) == expected
+    for mode in ("vector_entry_point", "sync"):
+        assert flags_of_many(gym.make_vec(ID, num_envs=1, vectorization_mode=mode, **options), wait) == expected

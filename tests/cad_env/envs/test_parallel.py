@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scenes import Twitchy
 
+from cad_env.envs.fixed_agents import FixedAgents
 from cad_env.envs.parallel import CADParallelEnv, parallel_env
 from cad_env.envs.single import CADEnv
 from cad_env.rules.expert import Expert
 from cad_env.scenarios import SCENARIOS
 from cad_env.scenarios.scenario import Scenario
-from cad_env.types import BRAKE, GO
+from cad_env.types import BRAKE, GO, MAX_STEPS
 from cad_env.world.state import crashed
 from cad_env.world.step import advance
 
@@ -104,7 +105,9 @@ def test_an_info_says_how_it_ended_in_numbers():
             outcome = env.outcomes[agent]
             assert info["is_success"] is (outcome == "success")
             assert info["crashed"] is (outcome == "collision")
-            assert (terminations[agent], truncations[agent]) == (outcome != "timeout", outcome == "timeout")
+            late = env.simulation.steps == env.max_cycles
+            assert terminations[agent] is (outcome in ("success", "collision") or (outcome == "waited" and not late))
+            assert truncations[agent] is late
             assert all(isinstance(value, bool | int | float) for value in info.values())
             assert rewards[agent] == {"waited": 0.0}.get(outcome, rewards[agent])
             seen.add(outcome)
@@ -150,15 +153,47 @@ def test_an_agent_at_a_red_light_waits_for_the_others_to_be_done_and_is_paid_not
     assert env.outcomes == {"cav_0": "success"} | dict.fromkeys(standing, "waited")
 
 
-def test_who_waits_leaves_even_if_the_last_that_drives_runs_out_of_time():
+def test_when_time_is_up_all_that_are_left_are_truncated_those_that_only_waited_too():
     env = parallel_env(max_cycles=40)
     history = drive(env, 1, action=BRAKE)
-    *_, terminations, truncations, _ = history[-1]
+    _, rewards, terminations, truncations, _ = history[-1]
     assert len(history) == 41
-    assert env.outcomes["cav_0"] == "timeout"
-    assert truncations["cav_0"] is True
-    assert env.outcomes["cav_1"] == "waited"
-    assert terminations["cav_1"] is True
+    assert env.outcomes == {"cav_0": "timeout"} | dict.fromkeys(["cav_1", "cav_2", "cav_3"], "waited")
+    assert terminations == dict.fromkeys(env.possible_agents, False)
+    assert truncations == dict.fromkeys(env.possible_agents, True)
+    assert [rewards[agent] for agent in env.possible_agents[1:]] == [0.0, 0.0, 0.0]
+
+
+def rllib_goes_on(terminations: dict[str, bool], truncations: dict[str, bool]) -> bool:
+    """What RLlib's ParallelPettingZooEnv makes of a step: it ends when all are terminated, or all truncated."""
+    return not (all(terminations.values()) or all(truncations.values()))
+
+
+@pytest.mark.parametrize("wrapped", [lambda env: env, FixedAgents], ids=["plain", "fixed"])
+@pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
+@pytest.mark.parametrize(("action", "cycles"), [(BRAKE, MAX_STEPS), (GO, MAX_STEPS), (GO, 60)])
+def test_rllib_s_wrapper_sees_the_end_when_it_comes(scenario: Scenario, wrapped, action: int, cycles: int):
+    env = wrapped(parallel_env(scenario.gym_id, max_cycles=cycles))
+    for seed in range(7000000, 7000003):
+        env.reset(seed=seed)
+        while env.agents:
+            everyone = env.agents
+            _, _, terminations, truncations, _ = env.step(dict.fromkeys(everyone, action))
+            assert set(terminations) == set(truncations) == set(everyone)
+            assert rllib_goes_on(terminations, truncations) is bool(env.agents)
+        if action == BRAKE:
+            assert all(truncations.values())
+
+
+def test_who_crashes_in_the_last_step_of_all_is_terminated_and_truncated_with_the_others():
+    first = drive(parallel_env(), 3, action=GO)
+    crash = next(k for k, step in enumerate(first[1:], 1) if step[4]["cav_0"]["crashed"])
+    env = parallel_env(max_cycles=crash)
+    *_, terminations, truncations, infos = drive(env, 3, action=GO)[-1]
+    assert truncations == dict.fromkeys(infos, True)
+    assert len(infos) > 1
+    assert [agent for agent in infos if terminations[agent]] == [agent for agent in infos if infos[agent]["crashed"]]
+    assert terminations["cav_0"] is True
 
 
 def test_a_waiting_agent_that_is_hit_has_crashed():

@@ -15,7 +15,7 @@ from cad_env.envs.fixed_agents import FixedAgents
 from cad_env.envs.global_state import STATE_FEATURES, STATE_VEHICLES
 from cad_env.envs.parallel import parallel_env
 from cad_env.envs.single import CADEnv
-from cad_env.types import GO
+from cad_env.types import GO, MAX_STEPS
 from cad_env.world.state import OFF
 from tests.cad_env.envs.test_parallel import drive, same
 
@@ -106,17 +106,18 @@ def test_the_state_is_the_truth_agents_first():
     assert all((column[rows["present"] == 0] == 0).all() for column in rows.values())
 
 
-def test_with_fixed_agents_everybody_stays_to_the_end():
-    plain, fixed = parallel_env(max_cycles=120), FixedAgents(parallel_env(max_cycles=120))
-    seen, _ = plain.reset(seed=10)
-    filled, infos = fixed.reset(seed=10)
+@pytest.mark.parametrize(("seed", "cycles", "late"), [(10, 120, True), (1, MAX_STEPS, False)])
+def test_with_fixed_agents_everybody_stays_to_the_end(seed: int, cycles: int, late: bool):
+    plain, fixed = parallel_env(max_cycles=cycles), FixedAgents(parallel_env(max_cycles=cycles))
+    seen, _ = plain.reset(seed=seed)
+    filled, infos = fixed.reset(seed=seed)
     assert same(seen, filled)
     left: dict[str, bool] = {}
     while fixed.agents:
         assert fixed.agents == fixed.possible_agents
         there = set(plain.agents)
-        seen, earned, _, late, _ = plain.step(dict.fromkeys(plain.agents, GO))
-        left.update({agent: late[agent] for agent in there - set(plain.agents)})
+        seen, earned, ended, _, _ = plain.step(dict.fromkeys(plain.agents, GO))
+        left.update({agent: ended[agent] for agent in there - set(plain.agents)})
         filled, rewards, terminations, truncations, infos = fixed.step(dict.fromkeys(fixed.agents, GO))
         for agent in fixed.possible_agents:
             assert infos[agent]["present"] is (agent in there)
@@ -125,9 +126,10 @@ def test_with_fixed_agents_everybody_stays_to_the_end():
                 same(filled[agent], seen[agent]) if agent in there else not any(v.any() for v in filled[agent].values())
             )
             assert fixed.observation_space(agent).contains(filled[agent])
-            assert terminations[agent] is (not plain.agents and not left[agent])
-            assert truncations[agent] is (not plain.agents and left[agent])
+            assert terminations[agent] is (not plain.agents and left[agent])
+            assert truncations[agent] is (not plain.agents and late)
     assert not plain.agents
+    assert any(terminations.values())
     parallel_api_test(FixedAgents(parallel_env()), num_cycles=300)
 
 
@@ -160,7 +162,7 @@ def test_pictures_show_the_scene():
         (lambda env: parallel_env(traffic="heavy"), ValueError, "traffic must be one of none, light, dense"),
         (lambda env: parallel_env(ranges={"ego": 1}), ValueError, "unknown left_turn range ego=1"),
         (lambda env: parallel_env(render_mode="ascii"), ValueError, "unknown render_mode 'ascii'"),
-        (lambda env: parallel_env(max_cycles=0), ValueError, "max_cycles must be a whole number of decisions from 1"),
+        (lambda env: parallel_env(max_cycles=0), ValueError, "max_cycles must be a whole number from 1 on"),
         (lambda env: parallel_env().step({}), RuntimeError, "no agent is left: call reset() before step()"),
     ],
 )  # fmt: skip

@@ -1,12 +1,16 @@
 """The settings of the single-agent environment: their spellings, and what is refused."""
 
 import re
+from collections.abc import Callable
+from typing import Any
 
 import gymnasium as gym
 import pytest
 
 from cad_env import RADIO_PRESETS, SensorConfig
+from cad_env.envs.parallel import parallel_env
 from cad_env.envs.single import CADEnv
+from cad_env.envs.vector import CADVectorEnv
 from cad_env.types import GO
 
 WRONG = [
@@ -27,10 +31,10 @@ WRONG = [
     ({"ranges": {"ego_sped": 1}}, "unknown left_turn range ego_sped=1: choose among"),
     ({"traffic": "heavy"}, "traffic must be one of none, light, dense, got 'heavy'"),
     ({"penetration": 2}, "penetration must be a number from 0 to 1, got 2"),
-    ({"depth": 0}, "depth must be a number from 1 to 15, got 0"),
-    ({"depth": 16}, "depth must be a number from 1 to 15, got 16"),
-    ({"depth": 2.5}, "depth must be a whole number, got 2.5"),
-    ({"depth": "15"}, "depth must be a number from 1 to 15, got '15'"),
+    ({"depth": 0}, "depth must be a whole number from 1 to 15, got 0"),
+    ({"depth": 16}, "depth must be a whole number from 1 to 15, got 16"),
+    ({"depth": 2.5}, "depth must be a whole number from 1 to 15, got 2.5"),
+    ({"depth": "15"}, "depth must be a whole number from 1 to 15, got '15'"),
     ({"scenario": "right_turn"}, "unknown scenario 'right_turn': choose among left_turn"),
     ({"scenario": ["left_turn"]}, "unknown scenario ['left_turn']"),
     ({"render_mode": "ascii"}, "unknown render_mode 'ascii': choose one of human, rgb_array"),
@@ -83,3 +87,26 @@ def test_a_reset_can_change_settings():
     *_, info = env.step(GO)
     assert info["bytes_sent"] == 0
     assert env.config["radio"] == "none"
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda **options: gym.make("CADLeftTurn-v0", **options),
+        lambda **options: gym.make("cad_env:CADScenario-v0", scenario="overtaking", **options),
+        lambda **options: gym.make_vec("CADLeftTurn-v0", **options),
+        lambda **options: gym.make_vec("CADLeftTurn-v0", vectorization_mode="sync", **options),
+        lambda **options: parallel_env("CADLeftTurn-v0", **options),
+        CADEnv,
+        CADVectorEnv,
+    ],
+)
+def test_libraries_that_try_a_keyword_learn_that_it_is_unexpected(make: Callable[..., Any]):
+    # As TorchRL's GymEnv does: it leaves `frameskip` out if a TypeError says that.
+    with pytest.raises(
+        TypeError, match=re.escape("__init__() got an unexpected keyword argument 'frameskip'")
+    ) as found:
+        make(frameskip=1)
+    assert isinstance(found.value, ValueError)
+    assert "\n" not in str(found.value)
+    assert str(found.value).startswith("unknown option frameskip=1: choose among ")

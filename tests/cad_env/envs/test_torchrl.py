@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from cad_env.envs.fixed_agents import WHOLE, FixedAgents
 from cad_env.envs.parallel import parallel_env
 from cad_env.scenarios import SCENARIOS
 from cad_env.types import BRAKE, GO
@@ -54,3 +55,23 @@ def test_a_rollout_is_the_episode_and_shows_who_has_left():
     assert data["next", "done"].sum() == 1
     assert BRAKE not in data["cav", "action"]
     assert len(set(data["cav", "mask"].sum(0).tolist())) > 1  # somebody left before the others
+
+
+def test_a_varying_fleet_passes_its_check_with_fixed_agents_and_its_seeds_survive_float32():
+    from torchrl.envs.libs.pettingzoo import PettingZooWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    env = PettingZooWrapper(FixedAgents(parallel_env("CADOvertaking-v0", penetration=0.4)), return_state=True)
+    check_env_specs(env, seed=1)
+    for _ in range(3):
+        info = env.reset()["cav", "info"]
+        seeds = info["seed_high"].to(torch.int64) * WHOLE + info["seed_low"].to(torch.int64)
+        assert seeds.tolist() == [env._env.unwrapped.simulation.seed] * len(env.possible_agents)
+        assert 0 < info["present"].sum() < len(env.possible_agents)
+
+
+def test_its_environment_of_an_id_passes_its_check():
+    from torchrl.envs.libs.gym import GymEnv
+    from torchrl.envs.utils import check_env_specs
+
+    check_env_specs(GymEnv("cad_env:CADOvertaking-v0"), seed=1)

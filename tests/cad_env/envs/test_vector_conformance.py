@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 import warnings
 
 import gymnasium as gym
@@ -14,7 +15,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import SCENARIOS
-from cad_env.types import GO
+from cad_env.types import GO, MAX_STEPS
 from tests.cad_env.envs.test_vector import same, twitch
 
 IDS = [scenario.gym_id for scenario in SCENARIOS.values()]
@@ -34,6 +35,30 @@ def test_it_says_at_every_step_what_gymnasium_s_own_vector_of_single_environment
         one, other = ours.step(actions), theirs.step(actions)
         ended += int((one[2] | one[3]).sum())
     assert ended >= 8  # so that episodes of seeds that followed by themselves are among them
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("limit", [25, MAX_STEPS + 1])
+def test_a_limit_of_one_s_own_is_gymnasium_s_time_limit(mode: str, limit: int):
+    ours = gym.make_vec(ID, num_envs=3, max_episode_steps=limit, autoreset_mode=mode)
+    theirs = gym.make_vec(
+        ID, num_envs=3, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, max_episode_steps=limit
+    )
+    one, other = (env.reset(seed=8) for env in (ours, theirs))
+    cut = 0
+    for step in range(80):
+        assert all(same(a, b) for a, b in zip(one, other, strict=True)), step
+        one, other = (env.step(np.full(3, GO)) for env in (ours, theirs))
+        cut += one[3].sum()
+    assert cut == (9 if limit == 25 else 0)
+
+
+@pytest.mark.parametrize("limit", [0, -2, 2.5, True, "300"])
+def test_a_limit_that_is_none_is_refused(limit: object):
+    with pytest.raises(
+        ValueError, match=re.escape(f"max_episode_steps must be a whole number from 1 on, -1 or None, got {limit!r}")
+    ):
+        CADVectorEnv(1, max_episode_steps=limit)
 
 
 @pytest.mark.parametrize("name", IDS)

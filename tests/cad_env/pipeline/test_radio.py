@@ -212,6 +212,29 @@ def test_a_payload_must_be_bytes_and_time_must_not_run_back():
         radio.deliver(0, math.nan)
 
 
+@pytest.mark.parametrize(
+    ("sender", "positions", "error"),
+    [
+        (7, NEAR, ValueError),
+        (0, {}, ValueError),
+        (0, {**NEAR, 2: ()}, IndexError),
+        (0, {**NEAR, 0: (1.0,)}, ValueError),
+    ],
+)
+def test_a_message_that_raises_costs_and_counts_nothing(sender: int, positions: dict, error: type[Exception]):
+    radio = Radio(CLEAR, seed=0)
+    with pytest.raises(error):
+        radio.send(say(bytes(25_000), sender), positions)
+    assert sum(radio.count.values()) == 0
+    assert all(radio.deliver(receiver, now=0.0) == [] for receiver in NEAR)
+    assert radio.send(say(bytes(25_000), sender), {**NEAR, sender: (0.0, 0.0)}).accepted  # the budget is as it was
+
+
+def test_an_unknown_sender_is_named():
+    with pytest.raises(ValueError, match=r"positions must say where sender 7 is, got those of \[0, 1, 2, 3\]"):
+        Radio(CLEAR, seed=0).send(say(b"x", 7), NEAR)
+
+
 @pytest.mark.parametrize("burst", [1.0, 3.0])
 def test_the_compiled_air_carries_exactly_what_the_radio_does(burst: float):
     config = RadioConfig(loss=0.4, delay=0.2, range=60.0, rate=8 * 10 * 30, burst=burst)

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 from scenes import boxes, digest, started
 from shapely.geometry import Point, Polygon
 
@@ -284,4 +285,29 @@ assert (shown == picture(unseen)).all() and shown.std() > 5
 env.close()
 """
     here = {**os.environ, "SDL_VIDEODRIVER": "dummy"}
-    subprocess.run([sys.executable, "-c", code], check=True, env=here, timeout=120)
+    subprocess.run([sys.executable, "-c", code], check=True, env=here, timeout=PATIENCE)
+
+
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="there a display needs no name")
+@pytest.mark.parametrize(("chosen", "driver"), [(None, "dummy"), ("offscreen", "offscreen")])
+def test_without_a_display_nothing_looks_for_one_and_the_users_choice_stays(chosen: str | None, driver: str):
+    """In a process of its own, as above."""
+    code = """
+import os, pygame
+from cad_env.envs.single import CADEnv
+chosen = os.environ.get("SDL_VIDEODRIVER")
+env = CADEnv(render_mode="rgb_array", config={"screen_width": 200, "screen_height": 200, "scaling": 2.0})
+env.reset(seed=1)
+assert env.render().std() > 5
+assert os.environ.get("SDL_VIDEODRIVER") == chosen
+print(pygame.display.get_driver())
+env.close()
+"""
+    unset = ("DISPLAY", "WAYLAND_DISPLAY", "XDG_RUNTIME_DIR", "SDL_VIDEODRIVER")
+    here = {name: value for name, value in os.environ.items() if name not in unset}
+    here |= {"SDL_VIDEODRIVER": chosen} if chosen else {}
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, env=here, timeout=PATIENCE, capture_output=True, text=True
+    )
+    assert done.stdout.split()[-1] == driver
+    assert "XDG_RUNTIME_DIR" not in done.stderr

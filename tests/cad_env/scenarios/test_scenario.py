@@ -9,6 +9,7 @@ import pytest
 from scenes import Steady, started
 
 from cad_env.envs.single import CADEnv
+from cad_env.numerics.philox import generator
 from cad_env.rules.expert import Expert
 from cad_env.rules.planner import Planner
 from cad_env.scenarios import SCENARIOS, scenario_named
@@ -114,15 +115,47 @@ def test_without_traffic_there_are_still_three_to_choose_collaborators_from(scen
 
 
 @EVERY
-def test_penetration_is_the_share_of_all_vehicles_and_keeps_the_stated_minimum(scenario: Scenario):
+def test_penetration_is_the_share_of_all_vehicles_without_a_minimum(scenario: Scenario):
     half = scenes_of(scenario, "dense", 0.5)
     eligible = sum(len(scene.placements) - 2 for scene in half)
     assert sum(len(scene.connected) - 1 for scene in half) / eligible == pytest.approx(0.5, abs=0.06)
     everybody = scenes_of(scenario, "light", 1.0, count=20)
     assert all(len(scene.connected) == len(scene.placements) - 1 for scene in everybody)
-    assert all(len(scene.connected) == 3 for scene in scenes_of(scenario, "light", 0.0, count=20))
-    alone = scenes_of(scenario, "light", 0.0, count=20, collaborators=(0, 0))
-    assert all(scene.connected == (EGO,) for scene in alone)
+    assert all(scene.connected == (EGO,) for scene in scenes_of(scenario, "light", 0.0, count=20))
+
+
+@EVERY
+@pytest.mark.parametrize("penetration", [0.1, 0.4])
+def test_each_vehicle_is_connected_with_the_probability_of_the_penetration_by_itself(
+    scenario: Scenario, penetration: float
+):
+    scenes, ranges = scenes_of(scenario, "dense", penetration, count=1000), scenario.configured({})
+    error = 4.5 * math.sqrt(penetration * (1.0 - penetration) / len(scenes))
+    for row in range(1, len(scenes[0].placements)):
+        there = [scene for scene in scenes if row < len(scene.placements)]
+        if len(there) == len(scenes):
+            share = sum(row in scene.connected for scene in there) / len(there)
+            assert (share == 0.0) if row == HIDDEN else abs(share - penetration) < error
+    some, expected, spread = 0, 0.0, 0.0
+    for seed, scene in enumerate(scenes):
+        witnesses = scenario.actors(scenario.map, ranges, generator_after_hazard(seed), scene.hazard).witnesses
+        some += not set(witnesses).isdisjoint(scene.connected)
+        chance = 1.0 - (1.0 - penetration) ** len(witnesses)
+        expected, spread = expected + chance, spread + chance * (1.0 - chance)
+    assert abs(some - expected) < 4.5 * math.sqrt(spread)
+
+
+def generator_after_hazard(seed: int) -> np.random.Generator:
+    """The stream of the actors of a seed as they are given it: the kind of the episode is drawn."""
+    rng = generator(seed, "traffic")
+    rng.random()
+    return rng
+
+
+@EVERY
+def test_more_traffic_leaves_the_connection_of_the_actors_alone(scenario: Scenario):
+    for few, many in zip(scenes_of(scenario, "none", 0.4), scenes_of(scenario, "dense", 0.4), strict=True):
+        assert few.connected == tuple(row for row in many.connected if row < len(few.placements))
 
 
 @EVERY
@@ -276,6 +309,10 @@ def test_a_hazard_that_would_have_to_start_beyond_the_road_is_refused(scenario: 
         ({"traffic": "heavy"}, "traffic must be one of none, light, dense, got 'heavy'"),
         ({"traffic": {"ego_speed": (7, 9)}}, "traffic must be one of none, light, dense, got {'ego_speed': (7, 9)}"),
         ({"penetration": 1.5}, "penetration must be a number from 0 to 1, got 1.5"),
+        (
+            {"penetration": 0.5, "ranges": {"collaborators": (0, 4)}},
+            "penetration draws each connected vehicle by itself: leave out the range collaborators, got (0, 4)",
+        ),
         ({"penetration": "all"}, "penetration must be a number from 0 to 1, got 'all'"),
         ({"scenario": "overtaking", "ranges": {"truck_yaw": (0, 0)}}, "unknown overtaking range truck_yaw=(0, 0)"),
     ],

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from cad_env.config import ConfigError
+from cad_env.checks import ConfigError
 from cad_env.scoring.interval import wilson
 from cad_env.scoring.scorecard import OUTCOMES, Record, parse_record, scorecards
 from cad_env.scoring.table import table
 
 CALM = Record("left_turn", "expert", 1, False, "success", 10.0, 0, 200.0, 300, 10, 1, 2000, None, None, 4, 0.0)
-CRASH = replace(CALM, seed=2, hazard=True, outcome="collision", time=5.0, brakes=3, min_ttc=0.1, hazard_timing=-0.2)
+CRASH = replace(CALM, seed=2, hazard=True, outcome="collision", time=5.0, brakes=3, min_ttc=0.1, hazard_time=-0.2)
 STUCK = replace(CALM, seed=3, outcome="timeout", time=30.0, brakes=300, bytes_total=4000, bytes_per_message_max=500)
 
 
@@ -58,7 +58,7 @@ def test_a_record_survives_its_line(record: Record) -> None:
     {"bytes_per_message_max": 1.5}, {"min_ttc": -1}, {"scenario": 3}, {"method": None}, {"messages_lost": "0"},
     {"scenario": "\ud800"}, {"method": "a\udce8"},
     {"time": 10**400}, {"brakes": 10**400}, {"bytes_total": 2**53 + 1}, {"hardest_brake": 1e300}, {"min_ttc": 10**309},
-    {"hazard_timing": "0"}, {"connected": 1.5}, {"connected": None}, {"hardest_brake": -1.0}, {"hardest_brake": None},
+    {"hazard_time": "0"}, {"connected": 1.5}, {"connected": None}, {"hardest_brake": -1.0}, {"hardest_brake": None},
 ])  # fmt: skip
 def test_an_altered_record_is_refused_with_the_name_of_what_is_wrong(change: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=f"cannot have {next(iter(change))} ") as caught:

@@ -11,7 +11,7 @@ from baselines.paper.open_loop import FIRST_SEED
 from baselines.paper.presets import PRESETS
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
-from cad_env.types import BRAKE
+from cad_env.types import BRAKE, GO
 from policies.model_folder import load_model
 from policies.stgraph.network import StGraphConfig
 from policies.stgraph.policy import StGraphPolicy
@@ -43,6 +43,23 @@ def test_an_episode_ends_with_its_last_sight_and_the_next_begins_in_the_same_ste
         assert info["episode"]["l"] == 300
         assert not np.array_equal(info["terminal_observation"]["tracks"], seen["tracks"][place])
     assert scenes.scenes.batch.infos(np.ones(2, np.bool_))["seed"].max() < SEEDS
+
+
+def test_who_arrives_or_collides_in_the_last_decision_was_not_cut_short(monkeypatch: pytest.MonkeyPatch):
+    scenes = Scenes(2, SCENES, "none", StGraphConfig())
+    scenes.seed(3)
+    scenes.reset()
+    step = scenes.scenes.step
+
+    def late(actions: np.ndarray) -> tuple:
+        seen, rewards, ended, cut, told = step(actions)
+        return seen, rewards, ended, cut | ended, told
+
+    monkeypatch.setattr(scenes.scenes, "step", late)
+    over = np.zeros(2, bool)
+    while not over.any():
+        _, _, over, infos = scenes.step(np.full(2, GO))
+    assert not any(info.get("TimeLimit.truncated") for info in infos)
 
 
 def test_seeds_that_judge_are_not_learned_from():
@@ -102,7 +119,7 @@ def test_a_run_that_is_stopped_goes_on_as_if_it_had_not(tmp_path: Path):
 def test_nonsense_is_refused_in_one_line(tmp_path: Path):
     with pytest.raises(ValueError, match="discount must be a number from 0 to 1, got 2"):
         PpoConfig(discount=2)
-    with pytest.raises(ValueError, match="steps must be a number"):
+    with pytest.raises(ValueError, match="steps must be a whole number"):
         train_ppo(tmp_path, 0)
     with pytest.raises(ValueError, match="left_trun"):
         train_ppo(tmp_path, 100, scenarios=("left_trun",))

@@ -232,7 +232,7 @@ def test_what_failed_is_told_and_kept_though_the_next_stage_is_interrupted(
 
     monkeypatch.setattr("baselines.workers.heard", interrupted)
     assert reproduce.main(["--method", "command-only", "always-go", "--out", str(run)]) == 130
-    assert "failed: train command-only seed 0: ValueError" in capsys.readouterr().err
+    assert "failed: train command-only seed 0: FileError" in capsys.readouterr().err
     assert "Traceback" in (run / "failures.txt").read_text()
 
 
@@ -274,7 +274,7 @@ def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
     arguments = ["--method", "command-only", "gat", "always-go", "--out", str(tmp_path / "run")]
     assert reproduce.main(arguments) == 1
     error = capsys.readouterr().err
-    assert "failed: train command-only seed 0: ValueError" in error
+    assert "failed: train command-only seed 0: FileError" in error
     records = read_records(tmp_path / "run/closed/dsrc/0")
     assert {record.method for record in records} == {"always-go", "gat"}
     assert "Traceback" in (tmp_path / "run/failures.txt").read_text()

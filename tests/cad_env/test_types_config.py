@@ -10,7 +10,7 @@ from scenes import boxes
 from stages import detect, nodes_and_edges
 
 import cad_env
-from cad_env.checks import ConfigError, check_range
+from cad_env.checks import ConfigError
 from cad_env.config import (
     RADIO_PRESETS,
     RadioConfig,
@@ -113,11 +113,6 @@ def test_an_unknown_keyword_is_answered_with_the_nearest():
     said = "unknown option rnage=1: choose among noise, range (__init__() got an unexpected keyword argument 'rnage')"
     with pytest.raises(UnknownNameError, match=f"^{re.escape(said)}; did you mean range[?]$"):
         check_keywords({"rnage": 1}, ["range", "noise"])
-
-
-def test_whole_numbers_are_numbers():
-    check_range("x", 1, 0.0, 2.0)
-    check_range("x", np.float64(1.0), 0.0, 2.0)
 
 
 def test_actions_commands_and_times_are_the_paper_s():

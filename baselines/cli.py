@@ -1,34 +1,81 @@
 """What all commands share: reading the command line, progress, and how they end."""
 
 import contextlib
+import inspect
 import io
 import math
 import re
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
 from itertools import groupby, pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tyro
 
 from baselines.signals import exit_code
+from cad_env.checks import ConfigError, did_you_mean
 
 Parsed = TypeVar("Parsed")
 
 
-def parsed(kind: type[Parsed], argv: Sequence[str] | None) -> Parsed:
-    """A record from the command line; ValueError, one line, for what it does not take. `--help` exits."""
-    _refuse_empty(sys.argv[1:] if argv is None else argv)
+def parsed(
+    kind: type[Parsed], argv: Sequence[str] | None, choices: Callable[[], str] = lambda: "", more: Sequence[str] = ()
+) -> Parsed:
+    """A record from the command line; ConfigError, one line, for what it does not take. `--help` exits.
+
+    `choices`, called for `--help` only, gives the names that some options take. `more` are options that another record
+    takes: one that is misspelt may have meant them.
+    """
+    words = sys.argv[1:] if argv is None else argv
+    _refuse_empty(words)
+    about = _writable(f"{inspect.getdoc(kind)}\n\n{choices()}") if {"-h", "--help"} & set(words) else None
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
-            return tyro.cli(kind, args=argv)
+            return tyro.cli(kind, args=words, description=about)
     except SystemExit as stop:
         if not stop.code:
             raise
-        raise ValueError(_first_part(box.getvalue(), kind.__name__)) from None
+        said = _first_part(box.getvalue(), kind.__name__)
+        raise ConfigError(said + next(_meant(words, [*_options(kind), *more]), "")) from None
+
+
+def _options(kind: Any) -> Iterator[str]:
+    """The options of a record, as they are written on a command line."""
+    for field in fields(kind):
+        name = field.name.replace("_", "-")
+        yield f"--{name}"
+        if isinstance(field.default, bool):
+            yield f"--no-{name}"
+
+
+def _meant(words: Sequence[str], options: Sequence[str]) -> Iterator[str]:
+    """The nearest option to each word that looks like one and is none, as the end of a message."""
+    for word in words:
+        option = word.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in options and (near := did_you_mean(option, options)):
+            yield near
+
+
+def say(text: object = "") -> None:
+    """Print to standard output, what it cannot write as escapes: no locale ends a run that is finished.
+
+    Standard error needs no such help: Python escapes there by itself.
+    """
+    print(_writable(str(text)))
+
+
+def _writable(text: str) -> str:
+    """A text with escapes for what standard output cannot write; as it is if there is nothing of the kind."""
+    encoding, errors = (getattr(sys.stdout, name, None) for name in ("encoding", "errors"))
+    try:
+        text.encode(encoding or "utf-8", errors or "strict")
+    except UnicodeEncodeError:
+        return text.encode(encoding or "utf-8", "backslashreplace").decode(encoding or "utf-8")
+    return text
 
 
 def _refuse_empty(words: Sequence[str]) -> None:
@@ -36,7 +83,7 @@ def _refuse_empty(words: Sequence[str]) -> None:
     for before, word in pairwise(["", *words]):
         option, equals, value = word.partition("=")
         if not word or (equals and not value and option.startswith("--")):
-            raise ValueError(f"{(option or before or 'an argument').removeprefix('--')} must not be empty, got ''")
+            raise ConfigError(f"{(option or before or 'an argument').removeprefix('--')} must not be empty, got ''")
 
 
 def _first_part(box: str, kind: str) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.cli import parsed, refused, stopped
+from baselines.cli import parsed, refused, say, stopped
 from baselines.signals import sigterm_as_ctrl_c
 
 METHODS_SHOWN = ("always-go", "stgraph-own", "stgraph", "expert")
@@ -35,6 +35,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return refused(error)
     except KeyboardInterrupt as error:
         return stopped(error)
-    print(table(rows))
-    print("\nalways-go knows nothing, stgraph-own what it sees, stgraph what it sees and is sent, expert the truth.")
+    say(table(rows))
+    say("\nalways-go knows nothing, stgraph-own what it sees, stgraph what it sees and is sent, expert the truth.")
     return 0

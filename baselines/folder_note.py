@@ -5,30 +5,28 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cad_env.files import replace_file
+from cad_env.checks import ConfigError
+from cad_env.files import FileError, read_json_object, replace_text, shortened
 
 MAY_DIFFER = ("command",)  # it is for readers: several commands give the same results
 
 
 def claim(path: Path, wanted: Mapping[str, Any], advice: str) -> None:
-    """Write the note, or compare it with the one that is there. ValueError, ending in `advice`, if they differ."""
+    """Write the note, or compare it with the one that is there.
+
+    ConfigError, one line that ends in `advice`, if they differ or that one is damaged.
+    """
     wanted = json.loads(json.dumps(wanted))  # as it is when it is read back
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(path, (json.dumps(wanted, indent=2) + "\n").encode())
-    elif change := difference(read_note(path), wanted):
-        raise ValueError(f"{path.parent} holds a run with {change}: {advice}")
-
-
-def read_note(path: Path) -> dict[str, Any]:
-    """The note in a file. OSError if there is none, ValueError if it is damaged."""
+        replace_text(path, json.dumps(wanted, indent=2) + "\n")
+        return
     try:
-        found = json.loads(path.read_text())
-    except ValueError:
-        found = None
-    if not isinstance(found, dict):
-        raise ValueError(f"{path} is damaged: use another folder or delete that one")
-    return found
+        found = read_json_object(path)
+    except FileError as error:
+        raise FileError(path, f"{error.args[1]}: {advice}") from None
+    if change := difference(found, wanted):
+        raise ConfigError(f"{path.parent} holds a run with {change}: {advice}")
 
 
 def difference(before: Mapping[str, Any], now: Mapping[str, Any], may_differ: Sequence[str] = MAY_DIFFER) -> str:
@@ -44,5 +42,4 @@ def difference(before: Mapping[str, Any], now: Mapping[str, Any], may_differ: Se
 
 
 def _short(value: object) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 120 else text[:117] + "..."
+    return shortened(json.dumps(value), 120)

@@ -5,9 +5,9 @@ Names in brackets are the paper's. Controls that pass with closed eyes are named
 `module:factory(argument=value)`: a policy, or a network spec that is trained first (`baselines.references`).
 """
 
-import difflib
 import re
-from collections.abc import Callable, Mapping
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -16,11 +16,13 @@ from typing import Any
 
 from baselines.controls.names import BEST_BLIND, FORMS, best_control, is_control, parsed_control
 from baselines.references import is_reference, resolved
+from cad_env.checks import ConfigError, did_you_mean
 from cad_env.types import BRAKE, FRAMES, GO, Policy
 
 KNOWLEDGE = ("nothing", "what it sees", "what it sees and is sent", "the truth")
 KNOWS_NOTHING, KNOWS_SEEN, KNOWS_SENT, KNOWS_TRUTH = KNOWLEDGE
 SHARED = ("nothing", "graph", "points", "features")
+REWARDED = "ppo"  # the one method that learns by reward, not from demonstrations
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             Method("expert", KNOWS_TRUTH, _expert),
             *map(_of, LEARNED.values()),
             Method("cautious-own", KNOWS_SEEN, _cautious),
-            _of(LearnedMethod("ppo")),  # learns by reward, not from demonstrations
+            _of(LearnedMethod(REWARDED)),
         )
     }
 )
@@ -193,16 +195,15 @@ SHIPPED_METHODS = (
 
 
 def method_named(name: str) -> Method:
-    """The method called `name`, or one from outside; ValueError that lists the choices, the nearest one first."""
+    """The method called `name`, or one from outside; ConfigError that lists the choices and names the nearest one."""
     if is_reference(name):
         return _outside(name)
     if is_control(name):
         return _control(name)
     if name not in METHODS:
-        near = difflib.get_close_matches(name, METHODS, 1)
-        hint = f" (did you mean {near[0]}?)" if near else ""
-        choices = ", ".join((*METHODS, *FORMS))
-        raise ValueError(f"unknown method {name!r}{hint}: choose among {choices} or give module:policy")
+        known = (*METHODS, *FORMS)
+        choices = f"choose among {', '.join(known)} or give module:policy{did_you_mean(name, known)}"
+        raise ConfigError(f"unknown method {name!r}: {choices}")
     return METHODS[name]
 
 
@@ -214,10 +215,28 @@ def learned_named(name: str) -> LearnedMethod:
             raise ValueError(f"{name} is a policy, not a network spec: there is nothing to train")
         return learned
     if name not in LEARNED:
-        near = difflib.get_close_matches(name, LEARNED, 1)
-        hint = f" (did you mean {near[0]}?)" if near else ""
-        raise ValueError(f"unknown method {name!r}{hint}: choose among {', '.join(LEARNED)} or give module:spec")
+        choices = f"choose among {', '.join(LEARNED)} or give module:spec{did_you_mean(name, LEARNED)}"
+        if name == REWARDED:
+            raise ConfigError(f"{name} learns by reward, not from demonstrations: {how_to_train(name)}")
+        what = f"{name} is not learned" if name in METHODS else f"unknown method {name!r}"
+        raise ConfigError(f"{what}: {choices}")
     return LEARNED[name]
+
+
+def choices(names: Iterable[str] | None = None) -> str:
+    """For `--help`: the names of methods, by default of all, and of scenarios."""
+    from cad_env.scenarios import scenario_names  # here, because it takes a second that only this help need wait
+
+    return f"Methods: {', '.join((*METHODS, *FORMS) if names is None else names)}.\nScenarios: {', '.join(scenario_names())}."
+
+
+def how_to_train(name: str, scenarios: Sequence[str] = ()) -> str:
+    """The command that trains a method, by default for all scenarios that ship, and how its model is then found."""
+    where = f"runs/{folder_of(name)}"
+    if name == REWARDED:
+        return f"`python reproduce.py --method {name} --out {where}` trains it; then --models {where}/models/seed_0"
+    chosen = f"--scenario {shlex.join(scenarios)} " if scenarios else ""
+    return f"`python train.py {chosen}--method {shlex.quote(name)} --out {where}` trains it; then --models {where}"
 
 
 def radio_of(method: str, usual: str) -> str:
@@ -236,12 +255,14 @@ def _outside(name: str) -> Method:
         register_spec(found)  # the name that its model folders hold
         shares, training = getattr(found, "shares", "graph"), getattr(found, "training", {})
         if shares not in SHARED:
-            raise ValueError(f"{name} must share one of {', '.join(SHARED)}, got {shares!r}")
+            near = did_you_mean(shares, SHARED)
+            raise ConfigError(f"{name} must share one of {', '.join(SHARED)}, got {shares!r}{near}")
         return _of(LearnedMethod(name, spec=name, shares=shares, training=training))
     policy = _checked(found, name)
     knows = getattr(policy, "knows", KNOWS_TRUTH if policy.privileged else KNOWS_SENT)
     if knows not in KNOWLEDGE:
-        raise ValueError(f"{name} must know one of {', '.join(KNOWLEDGE)}, got {knows!r}")
+        near = did_you_mean(knows, KNOWLEDGE)
+        raise ConfigError(f"{name} must know one of {', '.join(KNOWLEDGE)}, got {knows!r}{near}")
     return Method(name, knows, lambda _: _checked(resolved(name), name))
 
 

@@ -7,6 +7,8 @@ import sys
 from importlib import import_module
 from typing import Any
 
+from cad_env.checks import did_you_mean
+
 _FORM = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?P<call>\(.*\))?", re.DOTALL)
 
 
@@ -24,14 +26,15 @@ def resolved(text: str) -> Any:
     Fraction(1, 2)
     >>> resolved("fractions:Fractoin")
     Traceback (most recent call last):
-    ValueError: 'fractions:Fractoin': fractions has no 'Fractoin'
+    ValueError: 'fractions:Fractoin': fractions has no 'Fractoin'; did you mean Fraction?
     """
     form = _FORM.fullmatch(text)
     if form is None:
         raise ValueError(f"{text!r} must be module:name or module:name(argument=value)")
     module = _module(text, form["module"])
     if not hasattr(module, form["name"]):
-        raise ValueError(f"{text!r}: {form['module']} has no {form['name']!r}")
+        near = did_you_mean(form["name"], [name for name in dir(module) if not name.startswith("_")])
+        raise ValueError(f"{text!r}: {form['module']} has no {form['name']!r}{near}")
     found = getattr(module, form["name"])
     if form["call"] is None and not isinstance(found, type):
         return found

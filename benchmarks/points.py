@@ -129,7 +129,7 @@ def main() -> None:
         _of_features("paper size", compressed.COOPERNAUT_SIZE, 2048, 4, 1, repeats),
     ]
     if asked.json is not None:
-        asked.json.write_text(json.dumps(rows, indent=1) + "\n")
+        asked.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

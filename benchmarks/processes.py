@@ -52,7 +52,7 @@ env = gym.make_vec({ENV_ID!r}, num_envs=count, vectorization_mode="vector_entry_
 env.reset(seed=0)
 for _ in range(100):
     env.step(np.zeros(count, np.int64))
-peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+peak = next(line for line in open("/proc/self/status", encoding="utf-8") if line.startswith("VmHWM"))
 print(int(peak.split()[1]) / 1024)
 """
 

@@ -53,8 +53,8 @@ def _sumo(steps: int) -> float:
 
     with tempfile.TemporaryDirectory() as folder:
         network, routes = Path(folder) / "road.net.xml", Path(folder) / "road.rou.xml"
-        network.write_text(NETWORK)
-        routes.write_text(ROUTES)
+        network.write_text(NETWORK, encoding="utf-8")
+        routes.write_text(ROUTES, encoding="utf-8")
         libsumo.start(["sumo", "-n", str(network), "-r", str(routes), "--step-length", "0.1", "--no-step-log"])
         try:
             for _ in range(20):

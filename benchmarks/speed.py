@@ -134,7 +134,7 @@ def main(settings: Settings) -> None:
         plot(curves, settings.plot)
     rows = tabled({**figures, **further})
     if settings.json is not None:
-        settings.json.write_text(json.dumps(rows, indent=2) + "\n")
+        settings.json.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,12 +2,13 @@
 
 numpy's numbers and bools are as good as Python's, and a path may be text. Every check returns what it let pass as
 Python's own kind, because compiled code is compiled anew for each further kind of number. What does not pass is refused
-with a one-line ValueError that has the name, what is allowed, and the value.
+with a ConfigError, one line that has the name, what is allowed, and the value.
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
+from difflib import get_close_matches
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +16,22 @@ from typing import Any, TypeVar
 import numpy as np
 
 Checked = TypeVar("Checked")
+
+
+class ConfigError(ValueError):
+    """A setting, an argument or a file that cannot be used; its message is one line."""
+
+
+def did_you_mean(given: object, choices: Iterable[str]) -> str:
+    """The end of a message about a name that is none of the choices: the nearest of them; empty if none is near.
+
+    >>> did_you_mean("cv2v", ["dsrc", "cv2x"])
+    '; did you mean cv2x?'
+    """
+    known = {name.casefold(): name for name in choices}
+    # Longer names than any real one are cut: the time that the comparison takes grows with the square of their length.
+    near = get_close_matches(given[:100].casefold(), known, 1) if isinstance(given, str) else []
+    return f"; did you mean {known[near[0]]}?" if near else ""
 
 
 def check_range(name: str, value: Any, low: float, high: float) -> float:
@@ -25,7 +42,7 @@ def check_range(name: str, value: Any, low: float, high: float) -> float:
     """
     number: Any = value  # typeshed's Real cannot be compared
     if isinstance(value, bool) or not isinstance(value, Real) or not low <= number <= high:
-        raise ValueError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
+        raise ConfigError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
     return float(value)
 
 
@@ -38,7 +55,7 @@ def check_whole(name: str, value: Any, low: int, high: int | None = None) -> int
     whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not whole or value < low or (high is not None and value > high):
         limits = f"from {low} on" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name} must be a whole number {limits}, got {value!r}")
+        raise ConfigError(f"{name} must be a whole number {limits}, got {value!r}")
     return int(value)
 
 
@@ -58,7 +75,7 @@ def check_switch(name: str, value: Any) -> bool:
     False
     """
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} must be True or False, got {value!r}")
+        raise ConfigError(f"{name} must be True or False, got {value!r}")
     return bool(value)
 
 
@@ -69,14 +86,14 @@ def check_path(name: str, value: Any) -> Path:
     'results'
     """
     if not isinstance(value, str | os.PathLike) or not os.fspath(value) or isinstance(os.fspath(value), bytes):
-        raise ValueError(f"{name} must be a path, got {value!r}")
+        raise ConfigError(f"{name} must be a path, got {value!r}")
     return Path(value)
 
 
 def check_text(name: str, value: Any) -> str:
     """A text that is not empty."""
     if not isinstance(value, str) or not value:
-        raise ValueError(f"{name} must be a text, got {value!r}")
+        raise ConfigError(f"{name} must be a text, got {value!r}")
     return value
 
 
@@ -93,7 +110,7 @@ def check_several(name: str, value: Any, check: Callable[[str, Any], Checked]) -
 def check_mapping(name: str, value: Any, of: str) -> dict[str, Any]:
     """A dict as a new one; `of` says in the message what it is a dict of."""
     if not isinstance(value, Mapping):
-        raise ValueError(f"{name} must be a dict of {of}, got {value!r}")
+        raise ConfigError(f"{name} must be a dict of {of}, got {value!r}")
     return dict(value)
 
 

@@ -8,14 +8,15 @@ from numbers import Real
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from cad_env.checks import check_numbers, settle
-from cad_env.checks import check_range as check_range  # packages from outside take it from here
+from cad_env.checks import ConfigError as ConfigError  # packages from outside take these two from here
+from cad_env.checks import check_numbers, did_you_mean, settle
+from cad_env.checks import check_range as check_range
 from cad_env.types import FRAMES, STEP
 
 Config = TypeVar("Config", bound=type)
 
 
-class UnknownNameError(ValueError, TypeError):
+class UnknownNameError(ConfigError, TypeError):
     """A name that does not exist: a wrong value, as what users get wrong is here, and also an unexpected keyword.
 
     Libraries that hand over more than an environment may take (TorchRL's GymEnv, Gymnasium) try without a keyword
@@ -27,7 +28,7 @@ def check_names(what: str, given: dict[str, object], allowed: list[str]) -> None
     """Refuse a misspelt key with a one-line UnknownNameError that has it, its value and what is allowed."""
     for name, value in given.items():
         if name not in allowed:
-            raise UnknownNameError(_unknown(what, name, value, allowed))
+            raise UnknownNameError(_unknown(what, name, value, allowed) + did_you_mean(name, allowed))
 
 
 def check_keywords(given: dict[str, object], allowed: list[str]) -> None:
@@ -40,8 +41,10 @@ def check_keywords(given: dict[str, object], allowed: list[str]) -> None:
     """
     for name, value in given.items():
         if name not in allowed:
-            said = _unknown("option", name, value, allowed)
-            raise UnknownNameError(f"{said} (__init__() got an unexpected keyword argument {name!r})")
+            said = (
+                f"{_unknown('option', name, value, allowed)} (__init__() got an unexpected keyword argument {name!r})"
+            )
+            raise UnknownNameError(said + did_you_mean(name, allowed))
 
 
 def _unknown(what: str, name: str, value: object, allowed: list[str]) -> str:
@@ -107,7 +110,7 @@ class RadioConfig:
                 check_numbers(self, "radio", {name: (0.0, most)})
         if self.burst > 1.0 and self.burst * (1.0 - self.loss) < 1.0:
             # Losses that are independent already come in runs of 1 / (1 - loss).
-            raise ValueError(
+            raise ConfigError(
                 f"radio burst must be 1 or at least 1 / (1 - loss), got {self.burst!r} at loss {self.loss!r}"
             )
 
@@ -146,5 +149,6 @@ def radio_config(radio: str | RadioConfig) -> RadioConfig:
     if isinstance(radio, RadioConfig):
         return radio
     if not isinstance(radio, str) or radio not in RADIO_PRESETS:
-        raise ValueError(f"unknown radio {radio!r}: choose one of {', '.join(RADIO_PRESETS)} or give a RadioConfig")
+        choices = f"choose one of {', '.join(RADIO_PRESETS)} or give a RadioConfig"
+        raise ConfigError(f"unknown radio {radio!r}: {choices}{did_you_mean(radio, RADIO_PRESETS)}")
     return RADIO_PRESETS[radio]

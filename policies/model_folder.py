@@ -15,8 +15,8 @@ import torch
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
-from cad_env.checks import check_path, check_range, plain
-from cad_env.files import replace_file
+from cad_env.checks import check_path, check_range, did_you_mean, plain
+from cad_env.files import MOST_DATA_BYTES, FileError, read_file, read_json_object, replace_file, replace_text, shortened
 from cad_env.types import COMMANDS
 from policies.registry import spec_named
 from policies.spec import LearnedPolicy, NetworkSpec
@@ -25,16 +25,6 @@ FORMAT = 1
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 _ADDED = {"commands": COMMANDS}  # knobs that models of before do not name, and what they were
 _KEYS = {"format", "spec", "network", "threshold", "sha256", "training"}
-
-
-class ModelError(ValueError):
-    """A model folder that cannot be trusted; one line with the file and the reason."""
-
-    def __init__(self, path: Path, reason: object) -> None:
-        super().__init__(path, str(reason))  # as they came: a worker process hands the error on by its arguments
-
-    def __str__(self) -> str:
-        return " ".join(f"{self.args[0]}: {self.args[1]}".split())
 
 
 @dataclass(frozen=True)
@@ -58,7 +48,7 @@ class SavedModel:
 def save_model(folder: str | Path, model: SavedModel) -> None:
     """Write a model folder, each file whole or not at all; weights first, so that a torn pair is found by its hash.
 
-    Raises ModelError for weights that are not finite, a threshold outside [0, 1] or training notes that JSON refuses.
+    Raises FileError for weights that are not finite, a threshold outside [0, 1] or training notes that JSON refuses.
     """
     folder = check_path("folder", folder)
     weights = {name: value.detach().float().contiguous() for name, value in model.network.state_dict().items()}
@@ -76,10 +66,10 @@ def save_model(folder: str | Path, model: SavedModel) -> None:
         check_range("threshold", model.threshold, 0.0, 1.0)
         text = json.dumps(config, indent=2, allow_nan=False) + "\n"
     except (TypeError, ValueError) as error:
-        raise ModelError(folder / CONFIG, error) from None
+        raise FileError(folder / CONFIG, error) from None
     folder.mkdir(parents=True, exist_ok=True)
     replace_file(folder / WEIGHTS, data)
-    replace_file(folder / CONFIG, text.encode())
+    replace_text(folder / CONFIG, text)
 
 
 def _config_of(network: nn.Module) -> Any:
@@ -87,56 +77,43 @@ def _config_of(network: nn.Module) -> Any:
 
 
 def load_model(folder: str | Path) -> SavedModel:
-    """Read a model folder; any damage, and a spec that is not registered, raises ModelError."""
+    """Read a model folder; any damage, and a spec that is not registered, raises FileError."""
     folder = check_path("folder", folder)
     config = _read_config(folder / CONFIG)
-    data = _read(folder / WEIGHTS)
+    data = read_file(folder / WEIGHTS, MOST_DATA_BYTES)
     if hashlib.sha256(data).hexdigest() != config["sha256"]:
-        raise ModelError(folder / WEIGHTS, f"its SHA-256 is not the one in {CONFIG}: truncated or altered")
+        raise FileError(folder / WEIGHTS, f"its SHA-256 is not the one in {CONFIG}: truncated or altered")
     try:
         spec = spec_named(config["spec"])
     except ValueError as error:
-        raise ModelError(folder / CONFIG, error) from None
+        raise FileError(folder / CONFIG, error) from None
     network = _network(folder / CONFIG, spec, config["network"])
     network.load_state_dict(_weights(folder / WEIGHTS, data, network.state_dict()))
     return SavedModel(network.eval(), float(config["threshold"]), config["training"], spec)
 
 
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ModelError(path, error.strerror or "cannot be read") from None
-
-
 def _read_config(path: Path) -> dict[str, Any]:
-    try:
-        config = json.loads(_read(path).decode())
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, ModelError):
-            raise
-        raise ModelError(path, f"not JSON: {error}") from None
-    if not isinstance(config, dict):
-        raise ModelError(path, f"must hold a JSON object, got {type(config).__name__}")
+    config = read_json_object(path)
     # The version comes first: another version may have other keys.
     if type(config.get("format")) is not int or config["format"] != FORMAT:
-        raise ModelError(path, f"format must be {FORMAT}, got {config.get('format')!r}")
+        raise FileError(path, f"format must be {FORMAT}, got {config.get('format')!r}")
     _check_keys(path, "key", config, _KEYS)
     try:
         check_range("threshold", config["threshold"], 0.0, 1.0)
     except ValueError as error:
-        raise ModelError(path, error) from None
+        raise FileError(path, error) from None
     for name, kind in (("spec", str), ("network", dict), ("sha256", str), ("training", dict)):
         if not isinstance(config[name], kind):
-            raise ModelError(path, f"{name} must be a {kind.__name__}, got {config[name]!r}")
+            raise FileError(path, f"{name} must be a {kind.__name__}, got {shortened(repr(config[name]))}")
     return config
 
 
 def _check_keys(path: Path, what: str, given: dict[str, Any], wanted: set[str]) -> None:
     if unknown := sorted(given.keys() - wanted):
-        raise ModelError(path, f"unknown {what} {unknown[0]!r}: choose among {', '.join(sorted(wanted))}")
+        choices = f"choose among {', '.join(sorted(wanted))}{did_you_mean(unknown[0], wanted)}"
+        raise FileError(path, f"unknown {what} {shortened(unknown[0])!r}: {choices}")
     if missing := sorted(wanted - given.keys()):
-        raise ModelError(path, f"missing {what} {missing[0]!r}")
+        raise FileError(path, f"missing {what} {missing[0]!r}")
 
 
 def _network(path: Path, spec: NetworkSpec, knobs: dict[str, Any]) -> nn.Module:
@@ -146,20 +123,20 @@ def _network(path: Path, spec: NetworkSpec, knobs: dict[str, Any]) -> nn.Module:
     try:
         return spec.build(spec.config_type(**knobs), seed=0)
     except (ValueError, TypeError) as error:
-        raise ModelError(path, error) from None
+        raise FileError(path, error) from None
 
 
 def _weights(path: Path, data: bytes, wanted: dict[str, Tensor]) -> dict[str, Tensor]:
     try:
         weights = safetensors.torch.load(data)
     except (SafetensorError, ValueError, KeyError) as error:
-        raise ModelError(path, f"not safetensors: {error}") from None
+        raise FileError(path, f"not safetensors: {error}") from None
     _check_keys(path, "tensor", weights, set(wanted))
     for name, value in weights.items():
         if value.dtype != torch.float32:
-            raise ModelError(path, f"{name} must be torch.float32, got {value.dtype}")
+            raise FileError(path, f"{name} must be torch.float32, got {value.dtype}")
         if value.shape != wanted[name].shape:
-            raise ModelError(path, f"{name} must have shape {tuple(wanted[name].shape)}, got {tuple(value.shape)}")
+            raise FileError(path, f"{name} must have shape {tuple(wanted[name].shape)}, got {tuple(value.shape)}")
     _check_finite(path, weights)
     return weights
 
@@ -167,4 +144,4 @@ def _weights(path: Path, data: bytes, wanted: dict[str, Tensor]) -> dict[str, Te
 def _check_finite(path: Path, weights: dict[str, Tensor]) -> None:
     for name, value in weights.items():
         if not bool(value.isfinite().all()):
-            raise ModelError(path, f"{name} holds numbers that are not finite")
+            raise FileError(path, f"{name} holds numbers that are not finite")

@@ -5,6 +5,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from cad_env.checks import ConfigError, did_you_mean
+
 if TYPE_CHECKING:
     from policies.spec import NetworkSpec
 
@@ -39,7 +41,8 @@ def spec_named(name: str) -> "NetworkSpec":
     if name in _registered:
         return _registered[name]
     if name not in SPECS:
-        hint = f"; name it as a method ({name}) to use it" if ":" in name else ""
-        raise ValueError(f"unknown spec {name!r}: choose among {', '.join([*SPECS, *_registered])}{hint}")
+        known = [*SPECS, *_registered]
+        hint = f"; name it as a method ({name}) to use it" if ":" in name else did_you_mean(name, known)
+        raise ConfigError(f"unknown spec {name!r}: choose among {', '.join(known)}{hint}")
     spec: NetworkSpec = import_module(SPECS[name]).SPEC
     return spec

@@ -6,8 +6,9 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from baselines.cli import parsed, refused, stopped
+from baselines.cli import parsed, refused, say, stopped
 from baselines.evaluation.settings import Settings, comparable
+from baselines.methods import choices
 from baselines.signals import sigterm_as_ctrl_c
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if any(word.split("=")[0] == "--merge" for word in words):
             return _put_together(words)
-        settings = comparable(parsed(Settings, words))
+        settings = comparable(parsed(Settings, words, choices, more=["--merge"]))
     except (ValueError, OSError) as error:
         return refused(error)
     except KeyboardInterrupt as error:
@@ -55,7 +56,7 @@ def scored(settings: Settings) -> int:
             _show(rows, settings.folder())
             _explain(store, settings)
         else:
-            print(f"Shard {settings.shard} is in {settings.folder()}. Merge all shards with python evaluate.py --merge")
+            say(f"Shard {settings.shard} is in {settings.folder()}. Merge all shards with python evaluate.py --merge")
     except (ValueError, OSError) as error:
         return refused(error)
     except (KeyboardInterrupt, BrokenExecutor) as error:
@@ -74,8 +75,8 @@ def scored_by_seed(settings: Settings) -> int:
         if code := scored(run):
             return code
     if settings.shard is None:
-        print(spread_table(spreads([score(run) for run in runs.values()])))
-        print(f"Each training seed has its own folder in {settings.out}.")
+        say(spread_table(spreads([score(run) for run in runs.values()])))
+        say(f"Each training seed has its own folder in {settings.out}.")
     return 0
 
 
@@ -83,8 +84,8 @@ def _show(rows: "Sequence[Scorecard]", folder: Path) -> None:
     """Print the table."""
     from cad_env.scoring.table import table
 
-    print(table(rows))
-    print(f"The episodes and the scores are in {folder}.")
+    say(table(rows))
+    say(f"The episodes and the scores are in {folder}.")
 
 
 def _explain(store: "Store", settings: Settings) -> None:
@@ -102,4 +103,4 @@ def _report(folder: Path) -> None:
     """Write the report."""
     from baselines.evaluation.report import write_report  # here, because only this needs matplotlib
 
-    print(f"The tables and plots are in {write_report(folder)}.")
+    say(f"The tables and plots are in {write_report(folder)}.")

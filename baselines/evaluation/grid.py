@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 CHUNK = 25  # episodes that a process takes at a time
+MOST_EPISODES = 10_000_000  # of a scenario and method
 
 Key = tuple[str, str, int]  # scenario, method, seed: what tells an episode from all others
 

@@ -9,10 +9,12 @@ from typing import Any
 from baselines.controls import names
 from baselines.controls.names import BEST_BLIND, best_control, is_control
 from baselines.evaluation.settings import Settings
-from baselines.methods import Method, method_named
+from baselines.methods import Method, how_to_train, method_named, shipped_models
 from baselines.references import is_reference, module_source
 from baselines.signals import import_whole
+from cad_env.checks import ConfigError
 from cad_env.config import RADIO_PRESETS
+from cad_env.files import MOST_DATA_BYTES, read_file
 from cad_env.types import Command, Policy
 from cad_env.version import code_digest
 
@@ -55,11 +57,9 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
         import_whole("policies.model_folder")
         folder = settings.models_folder() / method.model
         if not folder.is_dir():
-            raise ValueError(
-                f"no trained model for {name}: there is no folder {folder}; train.py --method {name} trains it"
-            )
+            raise ConfigError(_untrained(settings, name, folder))
         for file in MODEL_FILES:
-            known.update((folder / file).read_bytes() if (folder / file).exists() else b"")
+            known.update(read_file(folder / file, MOST_DATA_BYTES) if (folder / file).exists() else b"")
         known.update(_code_of_network(method).encode())
     if is_reference(name):
         known.update(module_source(name))
@@ -70,6 +70,18 @@ def digest_of_method(settings: Settings, name: str) -> str | None:
 def code_of_controls() -> str:
     """Digest of the code of the controls."""
     return code_digest([Path(names.__file__).parent])
+
+
+def _untrained(settings: Settings, name: str, folder: Path) -> str:
+    """Why a method cannot drive that has no model, and what to do."""
+    from cad_env.scenarios import SHIPPED
+
+    scenarios = settings.scenarios()
+    if settings.models and (shipped_models() / folder.name).is_dir():
+        how = "leave out --models for the model that ships"
+    else:
+        how = how_to_train(name, () if set(scenarios) <= set(SHIPPED) else scenarios)
+    return f"{name} needs training, and {folder.parent} has no model of it: {how}"
 
 
 def _code_of_network(method: Method) -> str:

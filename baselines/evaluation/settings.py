@@ -8,10 +8,21 @@ from pathlib import Path
 from typing import Any
 
 from baselines.controls.names import BEST_BLIND, EVERY_CONTROL, GRID, has_best_control
-from baselines.evaluation.grid import Task, grid, shard_of
+from baselines.evaluation.grid import MOST_EPISODES, Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
 from baselines.methods import SHIPPED_METHODS, shipped_models
-from cad_env.checks import check_numbers, check_path, check_seed, check_several, check_switch, check_text, plain, settle
+from cad_env.checks import (
+    ConfigError,
+    check_numbers,
+    check_path,
+    check_seed,
+    check_several,
+    check_switch,
+    check_text,
+    did_you_mean,
+    plain,
+    settle,
+)
 from cad_env.config import RadioConfig, SensorConfig, radio_config
 from cad_env.scoring.time_lost import EXPERT
 from cad_env.types import FRAMES, STEP
@@ -20,7 +31,7 @@ HAZARDS = {"all": None, "yes": True, "no": False}
 ALL_SCENARIOS = ("all",)
 BACKENDS = ("processes", "ray")
 _LIMITS = {  # of the numbers that are no part of an environment, or are named otherwise there
-    "episodes": (1, 10_000_000), "jobs": (1, 256), "gif": (0, 1000), "threshold": (0.0, 1.0),
+    "episodes": (1, MOST_EPISODES), "jobs": (1, 256), "gif": (0, 1000), "threshold": (0.0, 1.0),
     "budget": (0.0, 1e12 * STEP / 8.0), "gnss_yaw_noise": (0.0, 180.0), "collaborators": (0, 20),
 }  # fmt: skip
 HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
@@ -81,7 +92,8 @@ class Settings:
         settle(self, "first_seed", check_seed("first-seed", self.first_seed))
         check_numbers(self, "", _LIMITS)
         if self.backend not in BACKENDS:
-            raise ValueError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}")
+            near = did_you_mean(self.backend, BACKENDS)
+            raise ConfigError(f"backend must be one of {', '.join(BACKENDS)}, got {self.backend!r}{near}")
         if self.backend == "ray":
             check_ray()
         if self.shard is not None:
@@ -89,7 +101,8 @@ class Settings:
             if self.gif:
                 raise ValueError("gif is for a whole run: merge the shards first")
         if not isinstance(self.hazard, str) or self.hazard not in HAZARDS:
-            raise ValueError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}")
+            near = did_you_mean(self.hazard, HAZARDS)
+            raise ConfigError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}{near}")
         from cad_env.simulation.setup import setup_from
 
         for scenario in self.scenarios():

@@ -9,11 +9,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import Progress, parsed, refused, stopped
+from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.folder_note import claim
 from baselines.paper.presets import PRESETS
 from baselines.signals import sigterm_as_ctrl_c
-from cad_env.checks import check_numbers, check_path, check_several, check_switch, check_text, settle
+from cad_env.checks import (
+    ConfigError,
+    check_numbers,
+    check_path,
+    check_several,
+    check_switch,
+    check_text,
+    did_you_mean,
+    settle,
+)
+from cad_env.files import replace_text
 from cad_env.version import version
 
 NOTE, FAILURES = "reproduce.json", "failures.txt"
@@ -36,7 +46,8 @@ class ReproduceSettings:
     def __post_init__(self) -> None:
         settle(self, "preset", check_text("preset", self.preset))
         if self.preset not in PRESETS:
-            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+            near = did_you_mean(self.preset, PRESETS)
+            raise ConfigError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}{near}")
         settle(self, "out", check_path("out", self.out))
         settle(self, "method", check_several("method", self.method, check_text))
         settle(self, "merge", check_switch("merge", self.merge))
@@ -55,7 +66,7 @@ class ReproduceSettings:
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
-        settings = parsed(ReproduceSettings, argv)
+        settings = parsed(ReproduceSettings, argv, _choices)
         plan = plan_of(settings)
         note = {**asdict(plan.preset), "version of cad_env": version()}
         claim(plan.out / NOTE, note, "use another --out or delete it")
@@ -69,6 +80,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if failures else 0
 
 
+def _choices() -> str:
+    from baselines.methods import choices
+    from baselines.paper.tasks import in_table
+
+    return choices(in_table())
+
+
 def plan_of(settings: ReproduceSettings) -> Any:
     """What to do; ValueError for methods or shards that do not exist."""
     from baselines.evaluation.grid import shard_of
@@ -78,7 +96,8 @@ def plan_of(settings: ReproduceSettings) -> Any:
     if settings.shard is not None:
         shard_of(settings.shard)
     if unknown := [name for name in settings.method if name not in in_table()]:
-        raise ValueError(f"unknown method {unknown[0]!r}: choose among {', '.join(in_table())}")
+        choices = f"choose among {', '.join(in_table())}{did_you_mean(unknown[0], in_table())}"
+        raise ConfigError(f"unknown method {unknown[0]!r}: {choices}")
     rows = tuple(name for name in in_table() if not settings.method or name in settings.method)
     return Plan(settings.out, PRESETS[settings.preset], SHIPPED, rows)
 
@@ -131,7 +150,7 @@ def _note(path: Path, failures: Sequence[Failure], new: Sequence[Failure]) -> No
 
     path.unlink(missing_ok=True)
     if failures:
-        path.write_text("\n\n".join(f"{what}\n{story}" for what, story in failures) + "\n")
+        replace_text(path, "\n\n".join(f"{what}\n{story}" for what, story in failures) + "\n")
     for what, story in new:
         tqdm.write(f"failed: {what}: {_reason(story)}", file=sys.stderr)
 
@@ -186,4 +205,4 @@ def _put_together(plan: Any, command: str) -> None:
 
     if lacking := gather(plan):
         print(f"{lacking} parts are not finished: the tables are without them", file=sys.stderr)
-    print(f"The tables and plots: {write_results(plan.out, command)}")
+    say(f"The tables and plots: {write_results(plan.out, command)}")

@@ -7,7 +7,6 @@ costs.json                            what networks cost, row by row
 notes.md                              what people wrote about it
 """
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from baselines.controls.names import BEST_BLIND
 from baselines.evaluation.store import EPISODES, SETTINGS, read_records, read_settings
 from baselines.paper.open_loop import OpenLoop, read_open_loop
 from baselines.paper.sweeps import SWEEPS
+from cad_env.files import read_json, read_text
 from cad_env.scoring.scorecard import Record
 
 NOTES, COSTS = "notes.md", "costs.json"
@@ -51,20 +51,15 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Everything in a folder; ValueError, one line, for a file that is damaged."""
-    costs = folder / COSTS
-    notes = folder / NOTES
-    try:
-        cost = json.loads(costs.read_bytes()) if costs.exists() else None
-    except ValueError as error:
-        raise ValueError(f"{costs}: {error}") from None
+    """Everything in a folder; FileError, one line, for a file that is damaged."""
+    costs, notes = folder / COSTS, folder / NOTES
     return Run(
         {radio.name: _closed(radio) for radio in _folders(folder / "closed")},
         _open(folder / "open"),
         {name: found for name in SWEEPS if (found := _sweep(folder / "sweeps" / name, name))},
         dict(_commands(folder)),
-        cost,
-        notes.read_text().strip() if notes.exists() else "",
+        read_json(costs) if costs.exists() else None,
+        read_text(notes).strip() if notes.exists() else "",
     )
 
 

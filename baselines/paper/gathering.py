@@ -21,7 +21,7 @@ from baselines.evaluation.store import (
 from baselines.folder_note import difference
 from baselines.methods import SHIPPED_METHODS
 from baselines.paper.tasks import PaperTask, Plan, answered, every_unit, measuring, scoring, table_of
-from cad_env.files import replace_file
+from cad_env.files import replace_text
 from cad_env.scoring.scorecard import scorecards
 
 
@@ -52,10 +52,8 @@ def gather(plan: Plan) -> int:
 
 def _is_finished(part: Settings) -> bool:
     """Whether all episodes are there and belong to the present model."""
-    try:
-        return (part.out / SCORES).exists() and not difference(read_settings(part.out), identity(part))
-    except FileNotFoundError:
-        return False
+    there = all((part.out / name).exists() for name in (SCORES, SETTINGS))
+    return there and not difference(read_settings(part.out), identity(part))
 
 
 def commands(parts: Sequence[Settings]) -> str:
@@ -86,7 +84,7 @@ def _join(parts: Sequence[Settings], into: Path) -> None:
     settings = _side_by_side({part.method[0]: read_settings(part.out) for part in parts})
     settings |= {"method": list(whole.method), "command": commands(parts)}
     into.mkdir(parents=True, exist_ok=True)
-    replace_file(into / SETTINGS, (json.dumps(settings, indent=2) + "\n").encode())
+    replace_text(into / SETTINGS, json.dumps(settings, indent=2) + "\n")
     store = Store(into, settings)
     store.records = {key_of(record): record for part in parts for record in read_records(part.out)}
     tasks = grid(whole.scenarios(), whole.method, whole.seeds())

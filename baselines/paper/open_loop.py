@@ -17,10 +17,12 @@ import numpy as np
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import HAZARDS, Settings
 from baselines.methods import Method
+from cad_env.checks import ConfigError
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.files import replace_file
+from cad_env.files import MOST_DATA_BYTES, FileError, read_json_object, replace_text, shortened
 from cad_env.rules.expert import expert_of
 from cad_env.scoring.rollout import BatchPolicy, rollouts
+from cad_env.scoring.scorecard import is_count
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, Floats, Ints, Observation, Policy
 
@@ -44,20 +46,22 @@ class OpenEpisode:
 
     def __post_init__(self) -> None:
         scores = self.brake_probability
+        frames = len(self.labels) if isinstance(self.labels, str) else 0
         sound = {
             "seed": type(self.seed) is int and self.seed >= 0,
             "hazard": isinstance(self.hazard, bool),
-            "labels": isinstance(self.labels, str) and set(self.labels) <= {"0", "1"} and self.labels != "",
+            "labels": isinstance(self.labels, str) and set(self.labels) <= {"0", "1"} and frames > 0,
             "answers": isinstance(self.answers, str)
             and set(self.answers) <= {"0", "1"}
-            and len(self.answers) == len(self.labels),
+            and len(self.answers) == frames,
             "brake_probability": scores is None
-            or (len(scores) == len(self.labels) and all(type(p) in (int, float) and 0 <= p <= 1 for p in scores)),
-            **{name: _is_count(getattr(self, name)) for name in ("messages", "bytes", "largest")},
+            or (len(scores) == frames and all(type(p) in (int, float) and 0 <= p <= 1 for p in scores)),
+            **{name: is_count(getattr(self, name)) for name in ("messages", "bytes", "largest")},
         }
         for name, valid in sound.items():
             if not valid:
-                raise ValueError(f"an open-loop episode cannot have {name} {str(getattr(self, name))[:60]!r}")
+                value = shortened(repr(getattr(self, name)))
+                raise ConfigError(f"an open-loop episode cannot have {name} {value}")
 
     def counts(self) -> tuple[int, int, int, int]:
         """Frames: brake as the expert, brake where it goes, go where it brakes, go as the expert."""
@@ -144,10 +148,6 @@ def _digits(decisions: Ints) -> str:
     return "".join("1" if decision == BRAKE else "0" for decision in decisions)
 
 
-def _is_count(value: object) -> bool:
-    return type(value) is int and value >= 0
-
-
 def at_threshold(loop: OpenLoop, threshold: float) -> OpenLoop:
     """What the method would have answered with another threshold. ValueError for one that has no P(brake)."""
     episodes = []
@@ -173,33 +173,33 @@ def write_open_loop(path: Path, found: OpenLoop) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     episodes = ",\n".join(json.dumps(asdict(episode), allow_nan=False) for episode in found.episodes)
     head = json.dumps({name: getattr(found, name) for name in NAMES})[:-1]
-    replace_file(path, f'{head}, "episodes": [\n{episodes}\n]}}\n'.encode())
+    replace_text(path, f'{head}, "episodes": [\n{episodes}\n]}}\n')
 
 
 def read_open_loop(path: Path) -> OpenLoop:
-    """Read it. OSError if there is no file, ValueError, one line, if it is damaged."""
+    """Read it; FileError, one line, if it is missing or damaged."""
+    data = read_json_object(path, MOST_DATA_BYTES)
     try:
-        data = json.loads(path.read_bytes())
         return _parsed(data)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: {error}") from None
+    except ConfigError as error:
+        raise FileError(path, error) from None
 
 
-def _parsed(data: Any) -> OpenLoop:
-    if isinstance(data, dict) and "episodes" in data and "made_with" not in data:
-        raise ValueError("it is of an older format, without its model and settings: delete it")
-    if not isinstance(data, dict) or set(data) != {*NAMES, "episodes"}:
-        raise ValueError(f"it must have the keys {', '.join(NAMES)}, episodes")
+def _parsed(data: dict[str, Any]) -> OpenLoop:
+    if "episodes" in data and "made_with" not in data:
+        raise ConfigError("it is of an older format, without its model and settings: delete it")
+    if set(data) != {*NAMES, "episodes"}:
+        raise ConfigError(f"it must have the keys {', '.join(NAMES)}, episodes")
     names, lines = [data[name] for name in NAMES], data["episodes"]
     if not all(isinstance(name, str) for name in names) or not isinstance(lines, list) or not lines:
-        raise ValueError(f"{', '.join(NAMES)} must be names, and episodes a list of at least one")
+        raise ConfigError(f"{', '.join(NAMES)} must be names, and episodes a list of at least one")
     episodes = []
     for line in lines:
         if not isinstance(line, dict) or set(line) != set(_KEYS):
-            raise ValueError(f"an open-loop episode must have the keys {', '.join(_KEYS)}")
+            raise ConfigError(f"an open-loop episode must have the keys {', '.join(_KEYS)}")
         scores = line["brake_probability"]
         if scores is not None and not isinstance(scores, list):
-            raise ValueError("brake_probability must be a list or null")
+            raise ConfigError("brake_probability must be a list or null")
         episodes.append(OpenEpisode(**{**line, "brake_probability": None if scores is None else tuple(scores)}))
     scenario, method, radio, made_with = names
     return OpenLoop(scenario, method, radio, tuple(episodes), made_with)

@@ -19,7 +19,7 @@ from baselines.paper.open_metrics import OpenScore, open_score
 from baselines.paper.plots import robustness_plot, safety_plot
 from baselines.paper.sweeps import SWEEPS
 from baselines.paper.tables import Scores, spoken
-from cad_env.files import replace_file
+from cad_env.files import replace_text
 
 RESULTS, NUMBERS, IMAGES = "results.md", "results.json", "img"
 MAIN = "dsrc"  # the radio that comes first
@@ -59,8 +59,8 @@ def write_results(folder: Path, command: str = "") -> Path:
     numbers = json.dumps(
         {**asdict(findings), "costs": run.costs, "commands": dict(run.commands)}, indent=1, allow_nan=False
     )
-    replace_file(folder / NUMBERS, numbers.encode())
-    replace_file(folder / RESULTS, ("\n\n".join(parts) + "\n").encode())
+    replace_text(folder / NUMBERS, numbers)
+    replace_text(folder / RESULTS, "\n\n".join(parts) + "\n")
     return folder / RESULTS
 
 

@@ -4,14 +4,15 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import Progress, parsed, refused, stopped
+from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.controls.names import BEST_BLIND
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import ALL_SCENARIOS, Settings, usual
-from baselines.methods import folder_of, learned_named, radio_of
+from baselines.methods import LEARNED, choices, folder_of, learned_named, radio_of
 from baselines.signals import import_whole, sigterm_as_ctrl_c
 from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
 from cad_env.checks import check_numbers, check_path, check_seed, check_several, check_switch, check_text, settle
@@ -127,7 +128,7 @@ class TrainSettings:
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
-        settings = parsed(TrainSettings, argv)
+        settings = parsed(TrainSettings, argv, partial(choices, LEARNED))
         import_whole("policies.model_folder")
         tasks = settings.tasks()
         for task in tasks:
@@ -146,7 +147,7 @@ def _all_scored(settings: TrainSettings, scoring: Sequence[Settings]) -> int:
     """Score, over one radio after the other; the exit code."""
     for each in scoring:
         if len(scoring) > 1 or each.radio != settings.radio:
-            print(f"Over the radio {each.radio}:")
+            say(f"Over the radio {each.radio}:")
         if code := scored(each):
             return code
     return 0

@@ -9,7 +9,7 @@ from typing import Any
 from baselines.folder_note import claim
 from baselines.methods import LearnedMethod, learned_named
 from baselines.references import is_reference, module_source
-from cad_env.checks import check_whole
+from cad_env.checks import ConfigError, check_whole, did_you_mean
 from policies.registry import spec_named
 from policies.training.config import STEPS, VALIDATION, Advance, TrainingConfig
 
@@ -45,7 +45,8 @@ def training_config(
         given["radio"] = "none"
     known = [each.name for each in fields(TrainingConfig)]
     if unknown := [name for name in given if name not in known]:
-        raise ValueError(f"unknown training setting {unknown[0]!r} of {method.name}: choose among {', '.join(known)}")
+        choices = f"choose among {', '.join(known)}{did_you_mean(unknown[0], known)}"
+        raise ConfigError(f"unknown training setting {unknown[0]!r} of {method.name}: {choices}")
     settings = {**method.config, **(network or {})}
     if settings:
         given["network"] = spec_named(method.spec).config_type(**settings)

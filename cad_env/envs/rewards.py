@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from cad_env.checks import ConfigError, did_you_mean
 from cad_env.simulation.simulation import FINAL_REWARD, Simulation
 
 
@@ -56,5 +57,6 @@ def reward_named(given: Any) -> Reward:
         found: Reward = given
         return found
     if not isinstance(given, str) or given not in REWARDS:
-        raise ValueError(f"reward must be a function of a StepOutcome or one of {', '.join(REWARDS)}, got {given!r}")
+        choices = f"a function of a StepOutcome or one of {', '.join(REWARDS)}"
+        raise ConfigError(f"reward must be {choices}, got {given!r}{did_you_mean(given, REWARDS)}")
     return REWARDS[given]

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from cad_env.checks import check_mapping, check_range, check_seed, check_switch, check_whole
+from cad_env.checks import ConfigError, check_mapping, check_range, check_seed, check_switch, check_whole, did_you_mean
 from cad_env.config import check_keywords, check_names
 from cad_env.envs.highway_base import HighwayBase
 from cad_env.envs.highway_vehicles import WorldRoad
@@ -254,7 +254,8 @@ def check_scenario_of_id(spec: EnvSpec | None, names: Iterable[str]) -> None:
 def check_render_mode(render_mode: str | None) -> None:
     """Refuse a mode that does not exist with a one-line ValueError."""
     if render_mode is not None and render_mode not in RENDER_MODES:
-        raise ValueError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}")
+        near = did_you_mean(render_mode, RENDER_MODES)
+        raise ConfigError(f"unknown render_mode {render_mode!r}: choose one of {', '.join(RENDER_MODES)}{near}")
 
 
 def checked_options(options: Any, allowed: list[str]) -> dict[str, Any]:

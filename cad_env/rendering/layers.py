@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from cad_env.checks import ConfigError, did_you_mean
 from cad_env.pipeline.merge import MERGE_GATE
 from cad_env.pipeline.radio import LOST, REACHES
 from cad_env.rendering.bodies import crossed, draw_body, draw_burst
@@ -143,11 +144,12 @@ def checked_layers(layers: Any) -> tuple[str, ...]:
     >>> checked_layers(["sight", "x-ray"])
     Traceback (most recent call last):
     ...
-    ValueError: unknown layer 'x-ray': choose among sight, known, links, tracks, outcome
+    cad_env.checks.ConfigError: unknown layer 'x-ray': choose among sight, known, links, tracks, outcome
     """
     if isinstance(layers, str) or not isinstance(layers, tuple | list):
         raise ValueError(f"layers must be a tuple of names among {', '.join(LAYERS)}, got {layers!r}")
     for name in layers:
         if not isinstance(name, str) or name not in LAYERS:
-            raise ValueError(f"unknown layer {name!r}: choose among {', '.join(LAYERS)}")
+            choices = f"choose among {', '.join(LAYERS)}{did_you_mean(name, LAYERS)}"
+            raise ConfigError(f"unknown layer {name!r}: {choices}")
     return tuple(layers)

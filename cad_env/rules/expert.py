@@ -32,7 +32,7 @@ def decide_on_truth(world: World, routes: Routes, row: int, rule: Rule) -> int:
     here = min(int(world.progress[row] / routes.spacing + 0.5), last)
     stretch = oncoming_stretch(routes.oncoming[route, here:], routes.spacing)
     seen = stopping_distance(world.speed[row]) + rule.clear
-    if stretch[0] <= rule.gate:
+    if stretch[0] <= stopping_distance(world.speed[row]) + rule.gate:
         seen = max(seen, stretch[1])
     way = np.empty((int(seen / ROUTE_SPACING) + 3, 2))
     for p in range(way.shape[0]):

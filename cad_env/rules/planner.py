@@ -48,10 +48,12 @@ class PlannerConfig:
     """How careful the rules are."""
 
     clear: float = 14.0  # m beyond its stopping distance, up to which the way must be free: over a lane that crosses
-    ahead: float = 0.7  # s of its travel by which a vehicle is lengthened in front ...
-    behind: float = 0.5  # s ... and behind
+    ahead: float = 0.5  # s of its travel by which a vehicle is lengthened in front ...
+    behind: float = 0.3  # s ... and behind
     margin: float = 0.5  # m around every vehicle
-    gate: float = 15.0  # m before an oncoming lane, where all of the way through it must be free
+    gate: float = (
+        2.0  # m beyond its stopping distance: so near to an oncoming lane, all of the way through it must be free
+    )
 
     def __post_init__(self) -> None:
         limits = {
@@ -170,7 +172,7 @@ def decide(way: Floats, ego: Floats, others: Floats, stretch: tuple[float, float
     """GO or BRAKE by the rules of this module; `stretch` as from `oncoming_stretch`, the rest as in `contact_ahead`."""
     others = not_on_way(way, others)
     seconds, ahead, behind = seconds_for(ego, stopping_distance(ego[0]) + rule.clear), rule.ahead, rule.behind
-    if stretch[0] <= rule.gate:
+    if stretch[0] <= stopping_distance(ego[0]) + rule.gate:
         seconds = max(seconds, seconds_for(ego, stretch[1]))
         if stretch[0] < stopping_distance(ego[0]):  # too late to wait: only true contacts count
             ahead = behind = 0.0

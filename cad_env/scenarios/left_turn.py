@@ -22,15 +22,15 @@ _SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
 class LeftTurnRanges(StreamRanges):
     """Every range the actors are drawn from; docs/scenarios.md says where each comes from."""
 
-    ego_speed: Range = span(8.0, 10.0, within=(1.0, 20.0))  # m/s it wants to turn at
+    ego_speed: Range = span(8.5, 10.0, within=(1.0, 20.0))  # m/s it wants to turn at
     ego_start: Range = span(26.0, 40.0, within=(5.0, 150.0))  # m before its stop line
-    stream_speed: Range = span(16.5, 20.0, within=(5.0, 20.0))  # m/s of the hidden stream
-    platoon: tuple[int, int] = count(4, 9, within=(1, 30))  # vehicles that come close behind each other
-    headway: Range = span(1.4, 2.0, within=(1.0, 10.0))  # s from one to the next
-    platoon_gap: Range = span(3.8, 5.5, within=(1.0, 60.0))  # s from a platoon to the next
+    stream_speed: Range = span(17.0, 20.0, within=(5.0, 20.0))  # m/s of the hidden stream
+    platoon: tuple[int, int] = count(1, 3, within=(1, 30))  # vehicles that come close behind each other
+    headway: Range = span(1.05, 1.2, within=(1.0, 10.0))  # s from one to the next
+    platoon_gap: Range = span(3.1, 4.3, within=(1.0, 60.0))  # s from a platoon to the next
     truck_length: Range = span(8.0, 14.0, within=(4.0, 18.0))  # m
     truck_width: Range = span(2.3, 2.6, within=(1.5, 2.7))  # m
-    truck_front: Range = span(5.5, 7.0, within=(5.0, 20.0))  # m from the junction's centre to its front
+    truck_front: Range = span(5.0, 6.5, within=(5.0, 20.0))  # m from the junction's centre to its front
     truck_yaw: Range = span(0.0, 0.15, within=(0.0, 0.2))  # rad, its nose already turned to its left
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
 
-from cad_env.checks import check_range, plain, settle
+from cad_env.checks import ConfigError, check_range, did_you_mean, plain, settle
 
 Range = tuple[float, float]
 
@@ -21,7 +21,8 @@ class Traffic:
 
     def __post_init__(self) -> None:
         if not isinstance(self.density, str) or self.density not in DENSITIES:
-            raise ValueError(f"traffic must be one of {', '.join(DENSITIES)}, got {self.density!r}")
+            near = did_you_mean(self.density, DENSITIES)
+            raise ConfigError(f"traffic must be one of {', '.join(DENSITIES)}, got {self.density!r}{near}")
         if self.penetration is not None:
             check_range("penetration", self.penetration, 0.0, 1.0)
 
@@ -66,7 +67,7 @@ class StreamRanges(Ranges):
     Each scenario says how fast they drive, how many vehicles a platoon has, and how far apart they come.
     """
 
-    empty_share: float = share(0.08)  # share of episodes without any hidden vehicle
+    empty_share: float = share(0.05)  # share of episodes without any hidden vehicle
     attentive_share: float = share(0.5)  # share of drivers of the stream that react to who is across their way ...
     reaction: Range = span(0.6, 1.4, within=(0.0, 5.0))  # s ... so long after they could
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from cad_env.checks import ConfigError, did_you_mean
 from cad_env.scenarios.left_turn import LEFT_TURN
 from cad_env.scenarios.overtaking import OVERTAKING
 from cad_env.scenarios.scenario import Scenario
@@ -64,9 +65,15 @@ def scenario_named(given: Any) -> Scenario:
         if given in _installed():
             return _referred(_installed()[given].value, given)
     if not isinstance(given, str) or given not in _known:
-        choices = [*_known, *(name for name in _installed() if name not in _known)]
-        raise ValueError(f"unknown scenario {given!r}: choose among {', '.join(choices)}")
+        choices = scenario_names()
+        near = did_you_mean(given, choices)
+        raise ConfigError(f"unknown scenario {given!r}: choose among {', '.join(choices)}{near}")
     return _known[given]
+
+
+def scenario_names() -> list[str]:
+    """All names that `scenario_named` takes: those that are known, then those of installed packages."""
+    return [*_known, *(name for name in _installed() if name not in _known)]
 
 
 def scenario_of_id(gym_id: str) -> Scenario:
@@ -75,7 +82,8 @@ def scenario_of_id(gym_id: str) -> Scenario:
     scenario = found.kwargs.get("scenario") if found is not None and found.entry_point == ENVIRONMENT else None
     if scenario is None:
         ids = [spec.id for spec in gym.registry.values() if spec.entry_point == ENVIRONMENT and spec.kwargs["scenario"]]
-        raise ValueError(f"unknown environment {gym_id!r}: choose among {', '.join(ids)}")
+        near = did_you_mean(gym_id, ids)
+        raise ConfigError(f"unknown environment {gym_id!r}: choose among {', '.join(ids)}{near}")
     return scenario_named(scenario)
 
 

@@ -30,12 +30,12 @@ _BEYOND = 2.0 * STOP_LINE + 25.0  # m past its stop line, where the ego has arri
 class StreetCrossingRanges(StreamRanges):
     """Every range the actors are drawn from; docs/scenarios.md says where each comes from."""
 
-    ego_speed: Range = span(8.0, 10.5, within=(1.0, 20.0))  # m/s it wants to cross at
+    ego_speed: Range = span(8.0, 10.0, within=(1.0, 20.0))  # m/s it wants to cross at
     ego_start: Range = span(40.0, 58.0, within=(5.0, 150.0))  # m before its stop line
     stream_speed: Range = span(14.0, 18.5, within=(5.0, 20.0))  # m/s of the vehicles on the hidden approach
-    platoon: tuple[int, int] = count(6, 12, within=(1, 30))  # vehicles that come close behind each other
-    headway: Range = span(1.2, 1.4, within=(1.0, 10.0))  # s from one to the next
-    platoon_gap: Range = span(3.8, 5.2, within=(1.0, 60.0))  # s from a platoon to the next
+    platoon: tuple[int, int] = count(4, 9, within=(1, 30))  # vehicles that come close behind each other
+    headway: Range = span(1.0, 1.15, within=(1.0, 10.0))  # s from one to the next
+    platoon_gap: Range = span(3.6, 5.0, within=(1.0, 60.0))  # s from a platoon to the next
     run_share: Range = span(0.9, 1.0, within=(0.0, 1.0))  # of them that run their red light, drawn per episode
     late_share: float = share(0.5)  # of those that stop at their red light, the share that brakes visibly late
     late_braking: Range = span(4.5, 6.5, within=(3.0, 8.0))  # m/s2 that stopping takes when such a one begins to

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING
 
+from cad_env.checks import ConfigError
+from cad_env.files import parse_json, shortened
 from cad_env.scoring.interval import Estimate, wilson
 from cad_env.scoring.time_lost import EXPERT, time_lost
 from cad_env.types import OUTCOMES, STEP
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from cad_env.scoring.rollout import Episode
 
 KINDS = ("all", "yes", "no")
+MOST = 2**53  # of any number in a record but the seed: sums of them stay finite
 
 
 @dataclass(frozen=True)
@@ -25,9 +28,9 @@ class Record:
     302
     >>> parse_record('{"scenario": "left_turn"}')
     Traceback (most recent call last):
-    ValueError: an episode's record must have the keys scenario, method, seed, hazard, outcome, time, brakes,
-    bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc, hazard_time,
-    connected, hardest_brake
+    cad_env.checks.ConfigError: an episode's record must have the keys scenario, method, seed, hazard, outcome, time,
+    brakes, bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc,
+    hazard_time, connected, hardest_brake
     """
 
     scenario: str
@@ -50,19 +53,21 @@ class Record:
     def __post_init__(self) -> None:
         for name, valid in self._fields_valid().items():
             if not valid:
-                raise ValueError(f"an episode's record cannot have {name} {getattr(self, name)!r}")
+                value = shortened(repr(getattr(self, name)))
+                raise ConfigError(f"an episode's record cannot have {name} {value}")
 
     def _fields_valid(self) -> dict[str, bool]:
-        counts = ("seed", "brakes", "messages_sent", "messages_lost", "bytes_total", "connected")
+        counts = ("brakes", "messages_sent", "messages_lost", "bytes_total", "connected")
         return {
-            "scenario": isinstance(self.scenario, str),
-            "method": isinstance(self.method, str),
-            **{name: _is_count(getattr(self, name)) for name in counts},
+            "scenario": _is_text(self.scenario),
+            "method": _is_text(self.method),
+            "seed": type(self.seed) is int and self.seed >= 0,  # of any size
+            **{name: is_count(getattr(self, name)) for name in counts},
             "hazard": isinstance(self.hazard, bool),
             "outcome": self.outcome in OUTCOMES,
             "time": _is_amount(self.time),
             "bytes_per_message_mean": self.bytes_per_message_mean is None or _is_amount(self.bytes_per_message_mean),
-            "bytes_per_message_max": self.bytes_per_message_max is None or _is_count(self.bytes_per_message_max),
+            "bytes_per_message_max": self.bytes_per_message_max is None or is_count(self.bytes_per_message_max),
             "min_ttc": self.min_ttc is None or _is_amount(self.min_ttc),
             "hazard_time": self.hazard_time is None or _is_amount(self.hazard_time),
             "hardest_brake": _is_amount(self.hardest_brake),
@@ -73,12 +78,18 @@ class Record:
         return json.dumps(asdict(self), allow_nan=False)
 
 
-def _is_count(value: object) -> bool:
-    return type(value) is int and value >= 0
+def is_count(value: object) -> bool:
+    """Whether a value is a whole number from 0 to `MOST`."""
+    return type(value) is int and 0 <= value <= MOST
+
+
+def _is_text(value: object) -> bool:
+    """Whether it is text that can be written and drawn: no half of a pair of code units."""
+    return isinstance(value, str) and not any("\ud800" <= letter <= "\udfff" for letter in value)
 
 
 def _is_number(value: object) -> bool:
-    return type(value) in (int, float) and -math.inf < value < math.inf  # type: ignore[operator]
+    return type(value) in (int, float) and -MOST <= value <= MOST  # type: ignore[operator]
 
 
 def _is_amount(value: object) -> bool:
@@ -111,14 +122,11 @@ def record_of(episode: "Episode") -> Record:
     )
 
 
-def parse_record(line: str) -> Record:
-    """The record in a line; ValueError, one line, if it is anything but what `Record.line` writes."""
-    try:
-        values = json.loads(line)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"not JSON: {error}") from None
+def parse_record(line: str | bytes) -> Record:
+    """The record in a line; ConfigError, one line, if it is anything but what `Record.line` writes."""
+    values = parse_json(line)
     if not isinstance(values, dict) or set(values) != set(_RECORD_KEYS):
-        raise ValueError(f"an episode's record must have the keys {', '.join(_RECORD_KEYS)}")
+        raise ConfigError(f"an episode's record must have the keys {', '.join(_RECORD_KEYS)}")
     return Record(**values)
 
 

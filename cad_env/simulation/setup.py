@@ -68,7 +68,7 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     >>> setup_from({"radoi": "cv2x"})
     Traceback (most recent call last):
     ...
-    cad_env.config.UnknownNameError: unknown option radoi='cv2x': choose among cloud, codec, depth, penetration, ...
+    cad_env.config.UnknownNameError: unknown option radoi='cv2x': choose among cloud, codec, ...; did you mean radio?
     """
     check_keywords(dict(options), [f.name for f in fields(Setup)])
     given = dict(options)

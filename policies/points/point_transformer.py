@@ -33,7 +33,7 @@ class PointTransformerConfig:
 
     >>> PointTransformerConfig(neighbours=0)
     Traceback (most recent call last):
-    ValueError: network neighbours must be a whole number from 1 to 64, got 0
+    cad_env.checks.ConfigError: network neighbours must be a whole number from 1 to 64, got 0
     """
 
     merged: int = 512  # points of the merged cloud at most

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from cad_env.checks import check_numbers, check_switch, settle
+from cad_env.checks import ConfigError, check_numbers, check_switch, did_you_mean, settle
 from cad_env.types import COMMANDS, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
@@ -16,7 +16,8 @@ _SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocit
 
 def _check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
-        raise ValueError(f"network {name} must be one of {', '.join(allowed)}, got {value!r}")
+        near = did_you_mean(value, allowed)
+        raise ConfigError(f"network {name} must be one of {', '.join(allowed)}, got {value!r}{near}")
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class StGraphConfig:
 
     >>> StGraphConfig(fusion="first")
     Traceback (most recent call last):
-    ValueError: network fusion must be one of last, per_layer, got 'first'
+    cad_env.checks.ConfigError: network fusion must be one of last, per_layer, got 'first'
     """
 
     hidden: int = 12  # columns of W_v

@@ -2,6 +2,8 @@
 
 import hashlib
 import io
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,14 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cad_env.files import replace_file
+from cad_env.files import MOST_DATA_BYTES, FileError, read_file, replace_file
 
 _CHECKSUM = hashlib.sha256().digest_size  # bytes; the checksums of zip leave its headers out
 _TEXT = "text"
-
-
-class ArrayFileError(ValueError):
-    """A file that is missing or damaged; one line with its path and the reason."""
+# What zipfile and numpy raise for bytes that are no npz, or one that nobody writes here.
+_NO_ARCHIVE = (
+    zipfile.BadZipFile, zlib.error, ValueError, TypeError, KeyError, EOFError, OSError, RuntimeError, MemoryError,
+    OverflowError, SyntaxError,
+)  # fmt: skip
 
 
 def write_arrays(path: Path, text: str, arrays: Mapping[str, Any]) -> None:
@@ -28,14 +31,26 @@ def write_arrays(path: Path, text: str, arrays: Mapping[str, Any]) -> None:
 
 
 def read_arrays(path: Path) -> tuple[str, dict[str, NDArray[Any]]]:
-    """The text and the arrays of a file; ArrayFileError if it is missing or not as it was written."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ArrayFileError(f"{path}: {error.strerror or 'cannot be read'}") from None
+    """The text and the arrays of a file; FileError if it is missing or not as it was written."""
+    data = read_file(path, MOST_DATA_BYTES)
     archive = data[:-_CHECKSUM]
     if hashlib.sha256(archive).digest() != data[-_CHECKSUM:]:
-        raise ArrayFileError(f"{path}: truncated or altered")
-    with np.load(io.BytesIO(archive), allow_pickle=False) as parts:
-        arrays = {name: parts[name] for name in parts.files}
-    return str(arrays.pop(_TEXT)), arrays
+        raise FileError(path, "truncated or altered")
+    try:
+        arrays = _unpacked(archive)
+    except _NO_ARCHIVE as error:
+        raise FileError(path, f"not an archive of arrays: {error}") from None
+    text = arrays.pop(_TEXT, None)
+    if text is None or text.ndim or text.dtype.kind != "U":
+        raise FileError(path, f"{_TEXT} must be one text")
+    return str(text), arrays
+
+
+def _unpacked(archive: bytes) -> dict[str, NDArray[Any]]:
+    """The arrays in the bytes of an npz, by name."""
+    with zipfile.ZipFile(io.BytesIO(archive)) as parts:
+        names = [name.removesuffix(".npy") for name in parts.namelist()]
+    if len(set(names)) < len(names):
+        raise ValueError("a name comes twice")
+    with np.load(io.BytesIO(archive), allow_pickle=False) as arrays:
+        return {name: np.asarray(arrays[name]) for name in arrays.files}

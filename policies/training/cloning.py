@@ -12,14 +12,15 @@ from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from cad_env.envs.vector import CADVectorEnv
-from cad_env.files import replace_file
+from cad_env.files import MOST_DATA_BYTES, FileError, read_file, replace_file
 from cad_env.scoring.rollout import Episode, rollouts
 from cad_env.types import BRAKE, Ints, Policy
-from policies.model_folder import ModelError
 from policies.spec import Frames, NetworkSpec
 from policies.training.config import TrainingConfig
 
 LOSS = "loss"  # in a checkpoint, beside the tensors of the network and of Adam
+_NETWORK, _ADAM = "network.", "adam."  # what their names begin with
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of each parameter
 NEEDLESS_COST = 0.1  # failures that a needless brake is as bad as
 
 
@@ -114,27 +115,49 @@ def drive_episodes(
 
 def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam, loss: float = math.nan) -> None:
     """Keep the network, Adam's moments and the last loss, so that a run resumes as if it had not stopped."""
-    tensors: dict[str, Tensor] = {f"network.{name}": value for name, value in network.state_dict().items()}
+    tensors: dict[str, Tensor] = {f"{_NETWORK}{name}": value for name, value in network.state_dict().items()}
     tensors[LOSS] = torch.tensor(loss, dtype=torch.float64)
     for index, state in optimiser.state_dict()["state"].items():
-        tensors |= {f"adam.{index}.{name}": value for name, value in state.items()}
+        tensors |= {f"{_ADAM}{index}.{name}": value for name, value in state.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     replace_file(path, safetensors.torch.save(tensors))
 
 
 def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Adam) -> float:
-    """The counterpart of `save_state`, gives the loss; ModelError for a file that is damaged or of another network."""
+    """The counterpart of `save_state`, gives the loss; FileError for a file that is damaged or of another network."""
+    data = read_file(path, MOST_DATA_BYTES)
     try:
-        tensors = safetensors.torch.load(path.read_bytes())
-        network.load_state_dict({n.removeprefix("network."): v for n, v in tensors.items() if n.startswith("network.")})
-        state: dict[int, dict[str, Tensor]] = {}
-        for name, value in tensors.items():
-            if name.startswith("adam."):
-                _, index, key = name.split(".")
-                state.setdefault(int(index), {})[key] = value
+        tensors = safetensors.torch.load(data)
+        loss = tensors.pop(LOSS, torch.empty(0))
+        if loss.shape != ():
+            raise ValueError(f"{LOSS} must be one number")
+        state = _adam_state(tensors, optimiser)
+        network.load_state_dict({name.removeprefix(_NETWORK): value for name, value in tensors.items()})
         optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-        return float(tensors[LOSS])
-    except (SafetensorError, ValueError, KeyError, RuntimeError) as error:
-        raise ModelError(
+        return float(loss)
+    except (SafetensorError, ValueError, KeyError, RuntimeError, TypeError) as error:
+        raise FileError(
             path, f"not a checkpoint of this network ({error}): delete it to train that part anew"
         ) from None
+
+
+def _adam_state(tensors: dict[str, Tensor], optimiser: torch.optim.Adam) -> dict[int, dict[str, Tensor]]:
+    """Adam's moments by the number of the parameter, taken out of the tensors; ValueError for any that do not fit.
+
+    A parameter that has had no gradient yet has none.
+    """
+    parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
+    found: dict[int, dict[str, Tensor]] = {}
+    for name in [name for name in tensors if name.startswith(_ADAM)]:
+        index, _, key = name.removeprefix(_ADAM).partition(".")
+        if not index.isdecimal() or int(index) >= len(parameters) or key not in _MOMENTS:
+            raise ValueError(f"{name} is nothing of this optimiser")
+        value, like = tensors.pop(name), torch.tensor(0.0) if key == "step" else parameters[int(index)]
+        if (value.shape, value.dtype) != (like.shape, like.dtype):
+            raise ValueError(f"{name} must be {like.dtype} of shape {tuple(like.shape)}")
+        found.setdefault(int(index), {})[key] = value
+    if not found:
+        raise ValueError("it holds nothing of the optimiser")
+    if lacking := [index for index, moments in found.items() if len(moments) < len(_MOMENTS)]:
+        raise ValueError(f"{_ADAM}{lacking[0]} must have {', '.join(_MOMENTS)}")
+    return found

@@ -10,31 +10,34 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from cad_env.checks import ConfigError
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import FileError, parse_json, shortened
 from cad_env.rules.expert import decisions, expert_of
 from cad_env.scenarios.registry import outside_sources
 from cad_env.scoring.rollout import BatchPolicy, play_episodes
-from cad_env.simulation.scene_step import UNDER_WAY
+from cad_env.simulation.scene_step import COLLIDED, SUCCEEDED, TIMED_OUT
 from cad_env.simulation.setup import Setup
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import Bools, Ints, Observation
+from cad_env.types import BRAKE, GO, Bools, Ints, Observation
 from cad_env.version import version
 from policies.training.array_file import read_arrays, write_arrays
 
 SHARD_EPISODES = 64
 KEPT_EVERY = 1.0  # s, what has ended of a shard is written
 FORMAT = 3
-_ARRAYS = ("seed", "length", "outcome", "action", "label")
+_ARRAYS: Mapping[str, type[np.signedinteger[Any]]] = MappingProxyType(
+    {"seed": np.int64, "length": np.int64, "outcome": np.int8, "action": np.int8, "label": np.int8}
+)
+
+_ENDS = (SUCCEEDED, COLLIDED, TIMED_OUT)
 
 Look = Callable[[Simulation, Observation], Any]
-
-
-class ShardError(ValueError):
-    """A shard that cannot be used; one line with the file and the reason."""
 
 
 class ReplayError(ValueError):
@@ -88,7 +91,7 @@ def record(
 
     Without a policy the expert drives; beside one it takes a share of the decisions, `mixing`. `advance` is told how
     many episodes were finished. Every shard is written whole or not at all, so two processes may record at once; what
-    has ended of the next one is kept every second. Raises ShardError for a shard that is damaged or of other episodes.
+    has ended of the next one is kept every second. Raises FileError for a shard that is damaged or of other episodes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     made_with, parts = scenes_of(envs.batch.simulations[0].setup), []
@@ -101,7 +104,7 @@ def record(
         begun.unlink(missing_ok=True)
         part = read_shard(path, made_with)
         if part.seed.tolist() != wanted:
-            raise ShardError(f"{path}: holds other episodes than this run records; give another folder or delete it")
+            raise FileError(path, "holds other episodes than this run records; give another folder or delete it")
         parts.append(part)
         advance(len(wanted))
     return parts
@@ -144,7 +147,7 @@ def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driv
     if begun.exists():
         try:
             known = [read_shard(begun, made_with)]
-        except ShardError:
+        except FileError:
             if begun.exists():
                 raise  # else another process has just finished this shard
     there = {seed for part in known for seed in part.seed.tolist()}
@@ -204,30 +207,47 @@ def write_shard(path: Path, recorded: Demonstrations, made_with: Mapping[str, An
 
 
 def read_shard(path: Path, made_with: Mapping[str, Any]) -> Demonstrations:
-    """Read a shard back; ShardError for one that is missing, damaged, or made with something else."""
-    try:
-        about, arrays = read_arrays(path)
-        found = json.loads(about)
-        recorded = Demonstrations(**arrays)
-    except (ValueError, TypeError) as error:
-        raise ShardError(f"{path}: not a readable shard ({error})") from None
+    """Read a shard back; FileError for one that is missing, damaged, or made with something else."""
+    about, arrays = read_arrays(path)
+    found = _about(path, about)
+    recorded = _checked(path, arrays)
     wanted = json.loads(json.dumps({"format": FORMAT, "episodes": len(recorded), **made_with}))
     for name, value in wanted.items():
         if found.get(name) != value:
-            raise ShardError(f"{path}: has {name} {found.get(name)!r}, not {value!r}: delete it to record anew")
-    _check(path, recorded)
+            was = shortened(repr(found.get(name)))
+            raise FileError(path, f"has {name} {was}, not {value!r}: delete it to record anew")
     return recorded
 
 
-def _check(path: Path, recorded: Demonstrations) -> None:
+def _about(path: Path, text: str) -> dict[str, Any]:
+    """What a shard says it was made with."""
+    try:
+        found = parse_json(text)
+    except ConfigError as error:
+        raise FileError(path, f"its text: {error}") from None
+    if not isinstance(found, dict):
+        raise FileError(path, f"its text must be a JSON object, got {type(found).__name__}")
+    return found
+
+
+def _checked(path: Path, arrays: Mapping[str, Any]) -> Demonstrations:
     """The checksum finds flipped bits; this finds a shard that was put together wrongly."""
-    count, frames = len(recorded), int(recorded.length.sum())
-    sound = (
-        recorded.seed.shape == recorded.length.shape == recorded.outcome.shape == (count,)
-        and recorded.action.shape == recorded.label.shape == (frames,)
-        and bool((recorded.length > 0).all())
-        and bool((recorded.outcome != UNDER_WAY).all())
-        and bool(np.isin(recorded.action, (0, 1)).all() and np.isin(recorded.label, (0, 1)).all())
-    )
-    if not sound:
-        raise ShardError(f"{path}: its arrays do not fit together")
+    if set(arrays) != set(_ARRAYS):
+        raise FileError(path, f"must hold the arrays {', '.join(_ARRAYS)}, got {', '.join(map(shortened, arrays))}")
+    for name, array in arrays.items():
+        if array.ndim != 1 or array.dtype != _ARRAYS[name]:
+            wanted = f"a row of {_ARRAYS[name].__name__}"
+            raise FileError(path, f"{name} must be {wanted}, got {array.dtype} of shape {array.shape}")
+    recorded = Demonstrations(**arrays)
+    count, frames = len(recorded), len(recorded.action)
+    whole = bool(((recorded.length > 0) & (recorded.length <= frames)).all())  # so that their sum cannot overflow
+    sound = {
+        "seed": bool((recorded.seed >= 0).all()) and len(set(recorded.seed.tolist())) == count,
+        "length": whole and len(recorded.length) == count and int(recorded.length.sum()) == frames,
+        "outcome": len(recorded.outcome) == count and bool(np.isin(recorded.outcome, _ENDS).all()),
+        "action": bool(np.isin(recorded.action, (GO, BRAKE)).all()),
+        "label": len(recorded.label) == frames and bool(np.isin(recorded.label, (GO, BRAKE)).all()),
+    }
+    if wrong := [name for name, right in sound.items() if not right]:
+        raise FileError(path, f"its arrays do not fit together, or {wrong[0]} holds what cannot be")
+    return recorded

@@ -7,6 +7,7 @@ keeping. A file that is missing, damaged or of something else is made anew, so t
 import hashlib
 import json
 from contextlib import suppress
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,11 @@ from typing import Any
 from torch import nn
 
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import FileError
 from cad_env.simulation.setup import Setup
 from cad_env.version import code_digest
 from policies.spec import Frames, NetworkSpec
-from policies.training.array_file import ArrayFileError, read_arrays, write_arrays
+from policies.training.array_file import read_arrays, write_arrays
 from policies.training.demonstrations import Demonstrations, replay, scenes_of
 from policies.version import network_version
 
@@ -74,9 +76,9 @@ def _read(path: Path, key: str, kind: type) -> Frames | None:
     """None for a file that is not there, or not what was written under this key."""
     try:
         found, arrays = read_arrays(path)
-    except ArrayFileError:
+    except FileError:
         return None
-    if found != key:
+    if found != key or set(arrays) != {part.name for part in fields(kind)}:
         return None
     frames: Frames = kind(**{name: part if part.ndim else part.item() for name, part in arrays.items()})
     return frames

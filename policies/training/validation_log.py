@@ -2,14 +2,18 @@
 
 import csv
 import io
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cad_env.files import replace_file
+from cad_env.checks import ConfigError
+from cad_env.files import FileError, parse_json, read_rows, replace_text, shortened
 from cad_env.scoring.rollout import Episode
 from policies.training.cloning import Worth
+
+_MOST = 10**9  # of anything counted, and seconds
+_MEASURED = {"loss": _MOST, "threshold": 1, "mean_time": _MOST}  # and the most; the other columns count
+_NO_NUMBER = ("nan", "inf", "-inf")
 
 
 def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
@@ -32,7 +36,7 @@ def worth(rows: Iterable[Mapping[str, Any]]) -> Worth:
 
 
 class Log:
-    """The file and its rows, each on the disk when it is known. A damaged row is dropped, and made again."""
+    """The file and its rows, each on the disk when it is known. A last row that was torn is made again."""
 
     COLUMNS = (
         "round", "segment", "scenario", "loss", "threshold", "episodes", "collisions", "timeouts", "failures",
@@ -41,7 +45,7 @@ class Log:
     OF_ALL = ("round", "segment", "loss", "threshold")  # the same in every scenario
 
     def __init__(self, path: Path) -> None:
-        """Open the file, or begin one."""
+        """Open the file, or begin one. FileError, with line and column, if it is damaged."""
         self.path = path
         self.rows: list[dict[str, Any]] = list(self._kept())
         self._write()
@@ -75,16 +79,33 @@ class Log:
     def _kept(self) -> Iterator[dict[str, Any]]:
         if not self.path.exists():
             return
-        with self.path.open(newline="") as file:
-            for row in csv.DictReader(file):
-                try:
-                    yield {name: row[name] if name == "scenario" else json.loads(row[name]) for name in self.COLUMNS}
-                except (KeyError, TypeError, ValueError):
-                    continue
+        for line, row in read_rows(self.path, self.COLUMNS):
+            try:
+                yield {name: _value(name, text) for name, text in row.items()}
+            except ConfigError as error:
+                raise FileError(self.path, f"line {line}: {error}; delete the line to have it made again") from None
 
     def _write(self) -> None:
         text = io.StringIO(newline="")
         writer = csv.DictWriter(text, self.COLUMNS)
         writer.writeheader()
         writer.writerows(self.rows)
-        replace_file(self.path, text.getvalue().encode())
+        replace_text(self.path, text.getvalue())
+
+
+def _value(column: str, text: str) -> str | int | float:
+    """What is in a column of a row; ConfigError for what it cannot hold."""
+    if column == "scenario":
+        return text
+    if column == "loss" and text in _NO_NUMBER:  # of a training that came to nothing
+        return float(text)
+    try:
+        value = parse_json(text)
+    except ConfigError:
+        value = None
+    kinds, most = ((int, float), _MEASURED[column]) if column in _MEASURED else ((int,), _MOST)
+    if type(value) in kinds and 0 <= value <= most:
+        found: int | float = value
+        return found
+    what = "a number" if column in _MEASURED else "a whole number"
+    raise ConfigError(f"{column} must be {what} from 0 to {most:g}, got {shortened(text)!r}")

@@ -1,17 +1,23 @@
-"""Progress is shown on a terminal and without one."""
+"""Progress is shown on a terminal and without one; help names the choices; what is said fits any locale."""
 
+import ast
+import io
 import itertools
 import sys
 import threading
 from collections.abc import Callable
 from io import StringIO
+from pathlib import Path
 from queue import SimpleQueue
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
+import reproduce
+import train
 from baselines import cli
 from baselines.cli import Progress
+from cad_env.scenarios import scenario_names
 
 
 class Terminal(StringIO):
@@ -78,3 +84,49 @@ def test_on_a_terminal_there_is_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     with Progress(4, "training") as progress:
         progress.update(4)
     assert "training 100%|" in screen.getvalue()
+
+
+@pytest.mark.parametrize("command", [train, reproduce])
+def test_help_lists_methods_and_scenarios(command: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        command.main(["--help"])
+    assert stopped.value.code == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "collab-gat, " in shown
+    assert f"Scenarios: {', '.join(scenario_names())}." in shown
+    assert ("expert" in shown.partition("Scenarios:")[0]) == (command is reproduce)
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "utf-8"])
+@pytest.mark.parametrize("text", ["results_训练", "a ≤ b", "bytes that were no name: \udce8", "", "plain"])
+def test_what_is_said_is_written_in_any_locale(text: str, encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding=encoding, newline="\n")
+    monkeypatch.setattr("sys.stdout", stream)
+    cli.say(text)
+    stream.flush()
+    expected = text.encode(encoding, "backslashreplace").decode(encoding)
+    assert written.getvalue().decode(encoding) == expected + "\n"
+
+
+def test_bytes_that_a_locale_keeps_are_written_as_they_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding="ascii", errors="surrogateescape", newline="\n")
+    monkeypatch.setattr("sys.stdout", stream)
+    cli.say(b"\xe8\xae\xad".decode("ascii", "surrogateescape"))
+    stream.flush()
+    assert written.getvalue() == b"\xe8\xae\xad\n"
+
+
+def said_without_help(path: Path) -> list[str]:
+    """Where a source file prints to standard output by itself."""
+    calls = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    bare = [call for call in calls if getattr(call.func, "id", "") == "print" and not call.keywords]
+    return [f"{path.name}:{call.lineno}" for call in bare]
+
+
+def test_commands_print_by_say_only() -> None:
+    package = Path(cli.__file__).parent
+    found = [place for path in package.rglob("*.py") if path.name != "cli.py" for place in said_without_help(path)]
+    assert found == []
+    assert len(said_without_help(package / "cli.py")) == 1

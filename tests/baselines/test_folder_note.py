@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from baselines.folder_note import claim, read_note
+from baselines.folder_note import claim
+from cad_env.files import FileError, read_json_object
 
 ADVICE = "use another folder"
 
@@ -15,7 +16,7 @@ def test_the_same_settings_claim_a_folder_again_whatever_type_they_had(tmp_path:
     before = path.read_bytes()
     claim(path, {"depth": 15, "seeds": [0, 1]}, ADVICE)
     assert path.read_bytes() == before
-    assert read_note(path) == {"seeds": [0, 1], "depth": 15}
+    assert read_json_object(path) == {"seeds": [0, 1], "depth": 15}
 
 
 def test_only_the_command_may_differ(tmp_path: Path) -> None:
@@ -30,10 +31,15 @@ def test_only_the_command_may_differ(tmp_path: Path) -> None:
             claim(path, wanted, ADVICE)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", ""])
-def test_a_damaged_note_is_named_and_kept(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [("{", "not JSON"), ("[]", "must hold a JSON object, got list"), ("", "not JSON"), ("[" * 5000, "64 levels"),
+     ('{"a": ' * 80 + "1" + "}" * 80, "64 levels"), ('{"seed": 1, "seed": 2}', "'seed' comes twice"),
+     ('{"seed": 1e999}', "seed must be a finite number")],
+)  # fmt: skip
+def test_a_damaged_note_is_named_and_kept(text: str, reason: str, tmp_path: Path) -> None:
     path = tmp_path / "note.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match=r"note.json is damaged"):
+    with pytest.raises(FileError, match=f"^{path}: .*{reason}.*: use another folder$"):
         claim(path, {"depth": 15}, ADVICE)
     assert path.read_text() == text

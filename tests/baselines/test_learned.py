@@ -99,7 +99,7 @@ def test_rows_of_points_are_validated_on_few_episodes_and_a_clone_takes_all_its_
 
 
 def test_an_unknown_row_or_family_is_refused_with_the_choices() -> None:
-    with pytest.raises(ValueError, match=r"unknown method 'gta' .*choose among stgraph, .*gat"):
+    with pytest.raises(ValueError, match=r"unknown method 'gta': choose among stgraph, .*; did you mean gat\?"):
         learned_named("gta")
     with pytest.raises(ValueError, match=r"unknown spec 'gta': choose among stgraph, "):
         spec_named("gta")

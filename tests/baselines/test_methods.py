@@ -1,21 +1,37 @@
 """Who drives, what is shared with it, and what is said when it cannot."""
 
 import os
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from baselines import cli
 from baselines.controls.names import best_control
 from baselines.controls.policies import Control, control
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
-from baselines.methods import METHODS, SHIPPED_METHODS, Always, method_named, shipped_models
+from baselines.methods import (
+    METHODS,
+    SHIPPED_METHODS,
+    Always,
+    folder_of,
+    how_to_train,
+    learned_named,
+    method_named,
+    shipped_models,
+)
+from baselines.paper.command import ReproduceSettings, plan_of
+from baselines.training.command import TrainSettings
+from cad_env.checks import ConfigError
 from cad_env.envs.single import CADEnv
+from cad_env.files import FileError
 from cad_env.scenarios import SHIPPED
 from cad_env.scoring.rollout import BatchPolicy, rollout
 from cad_env.types import BRAKE, GO, Policy
-from policies.model_folder import ModelError, SavedModel, save_model
+from policies.model_folder import SavedModel, save_model
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.policy import StGraphPolicy
 
@@ -54,7 +70,7 @@ def test_the_best_control_is_that_of_the_scenario() -> None:
 def test_an_unknown_method_is_refused_with_the_choices() -> None:
     with pytest.raises(
         ValueError,
-        match=r"unknown method 'planer' \(did you mean planner-\w+\?\): choose among always-go, .*, stgraph-own, ",
+        match=r"unknown method 'planer': choose among always-go, .*, stgraph-own, .*; did you mean planner-\w+\?$",
     ):
         method_named("planer")
 
@@ -72,14 +88,41 @@ def test_each_learned_method_drives_its_own_model(models: Path) -> None:
     assert (shared.threshold, own.threshold) == (0.25, 0.5)
 
 
-def test_a_missing_model_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=f"no trained model for stgraph-own.*{tmp_path / 'stgraph-own'}"):
+def test_a_method_without_its_model_says_how_to_train_it(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"^gat needs training, and {tmp_path} has no model of it: `python train.py"):
+        policy_of("gat", tmp_path)
+    with pytest.raises(ConfigError, match="leave out --models for the model that ships"):
         policy_of("stgraph-own", tmp_path)
+    with pytest.raises(
+        ConfigError, match=r"^ppo needs training, .*: `python reproduce\.py --method ppo --out runs/ppo`"
+    ):
+        job_of(Settings(), "left_turn", "ppo")
+    with pytest.raises(ConfigError, match=r"ppo learns by reward, .*`python reproduce\.py"):
+        learned_named("ppo")
+    with pytest.raises(ConfigError, match="expert is not learned: choose among stgraph, "):
+        learned_named("expert")
+
+
+@pytest.mark.parametrize("name", [name for name in METHODS if METHODS[name].learned])
+def test_the_command_that_trains_a_method_is_one_that_exists(name: str) -> None:
+    command, where = re.fullmatch(r"`python (.*)` trains it; then --models (.*)", how_to_train(name)).groups()  # type: ignore[union-attr]
+    script, *words = shlex.split(command)
+    if script == "train.py":
+        settings = cli.parsed(TrainSettings, words)
+        assert (settings.method, settings.models(0)) == ((name,), Path(where))
+        assert [task.folder for task in settings.tasks()] == [Path(where) / folder_of(name)]
+    else:
+        plan = plan_of(cli.parsed(ReproduceSettings, words))
+        assert (script, plan.rows, plan.models(0)) == ("reproduce.py", (name,), Path(where))
+
+
+def test_the_command_names_scenarios_that_do_not_ship() -> None:
+    assert "train.py --scenario mine.road:ROAD --method gat " in how_to_train("gat", ["mine.road:ROAD"])
 
 
 def test_a_damaged_model_is_refused(models: Path) -> None:
     os.truncate(models / "stgraph" / "model.safetensors", 100)
-    with pytest.raises(ModelError, match="truncated or altered"):
+    with pytest.raises(FileError, match="truncated or altered"):
         policy_of("stgraph", models)
 
 

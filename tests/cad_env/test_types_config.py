@@ -10,6 +10,7 @@ from scenes import boxes
 from stages import detect, nodes_and_edges
 
 import cad_env
+from cad_env.checks import ConfigError
 from cad_env.config import (
     RADIO_PRESETS,
     RadioConfig,
@@ -17,7 +18,6 @@ from cad_env.config import (
     UnknownNameError,
     check_keywords,
     check_names,
-    check_range,
     radio_config,
 )
 from cad_env.numerics.philox import stream_key
@@ -96,7 +96,12 @@ def test_names_are_checked_with_value_and_choices():
         check_names("thing", {"a": 1, "c": [1]}, ["b", "a"])
 
 
-@pytest.mark.parametrize("kind", [ValueError, TypeError, UnknownNameError])
+def test_a_misspelt_key_is_answered_with_the_nearest():
+    with pytest.raises(ConfigError, match=re.escape("unknown thing rnage=1: choose among noise, range; did you mean ")):
+        check_names("thing", {"rnage": 1}, ["range", "noise"])
+
+
+@pytest.mark.parametrize("kind", [ConfigError, TypeError, UnknownNameError])
 def test_an_unknown_keyword_is_what_python_and_what_our_users_expect(kind: type[Exception]):
     check_keywords({"a": 1}, ["a", "b"])
     said = "unknown option c=[1]: choose among a, b (__init__() got an unexpected keyword argument 'c')"
@@ -104,9 +109,10 @@ def test_an_unknown_keyword_is_what_python_and_what_our_users_expect(kind: type[
         check_keywords({"a": 1, "c": [1]}, ["b", "a"])
 
 
-def test_whole_numbers_are_numbers():
-    check_range("x", 1, 0.0, 2.0)
-    check_range("x", np.float64(1.0), 0.0, 2.0)
+def test_an_unknown_keyword_is_answered_with_the_nearest():
+    said = "unknown option rnage=1: choose among noise, range (__init__() got an unexpected keyword argument 'rnage')"
+    with pytest.raises(UnknownNameError, match=f"^{re.escape(said)}; did you mean range[?]$"):
+        check_keywords({"rnage": 1}, ["range", "noise"])
 
 
 def test_actions_commands_and_times_are_the_paper_s():

@@ -6,7 +6,8 @@ import pytest
 
 import evaluate
 import train
-from policies.model_folder import ModelError, load_model
+from cad_env.files import FileError
+from policies.model_folder import load_model
 
 FOLDER = Path(__file__).parents[2] / "examples" / "own_network"
 NAME = "my_network:SPEC"
@@ -31,14 +32,14 @@ def test_it_learns_and_is_scored_beside_the_rules(tmp_path: Path, capsys: pytest
         evaluate.main(["--method", NAME, "--models", str(tmp_path), "--episodes", "1", "--out", str(tmp_path / "x")])
         == 2
     )
-    assert "train.py --method my_network:SPEC trains it" in capsys.readouterr().err
+    assert "`python train.py --method my_network:SPEC --out runs/my_network_SPEC` trains it" in capsys.readouterr().err
 
 
 def test_a_file_cannot_ask_for_an_import(tmp_path: Path) -> None:
     source = FOLDER.parents[1] / "policies" / "weights" / "all" / "stgraph"
     for name in ("model.safetensors", "config.json"):
         (tmp_path / name).write_bytes((source / name).read_bytes().replace(b'"spec": "stgraph"', b'"spec": "os:path"'))
-    with pytest.raises(ModelError, match="unknown spec 'os:path'"):
+    with pytest.raises(FileError, match="unknown spec 'os:path'"):
         load_model(tmp_path)
 
 

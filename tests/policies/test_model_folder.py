@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import pickle
 from pathlib import Path
 
@@ -9,7 +10,10 @@ import pytest
 import safetensors.torch
 import torch
 
-from policies.model_folder import CONFIG, WEIGHTS, ModelError, SavedModel, load_model, save_model
+from baselines.evaluation.job import job_of
+from baselines.evaluation.settings import Settings
+from cad_env.files import FileError
+from policies.model_folder import CONFIG, WEIGHTS, SavedModel, load_model, save_model
 from policies.stgraph.network import StGraphConfig, StGraphNet
 
 torch.set_num_threads(1)
@@ -18,8 +22,8 @@ torch.set_num_threads(1)
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     network = StGraphNet(StGraphConfig(velocity=True), seed=3)
-    save_model(tmp_path / "model", SavedModel(network, 0.3, {"scene": "left_turn", "epochs": 4}))
-    return tmp_path / "model"
+    save_model(tmp_path / "stgraph", SavedModel(network, 0.3, {"scene": "left_turn", "epochs": 4}))
+    return tmp_path / "stgraph"
 
 
 def change(folder: Path, **keys: object) -> None:
@@ -39,7 +43,7 @@ def change_weights(folder: Path, name: str, value: torch.Tensor | None) -> None:
 
 
 def assert_refused(folder: Path, file: str, reason: str) -> None:
-    with pytest.raises(ModelError) as caught:
+    with pytest.raises(FileError) as caught:
         load_model(folder)
     message = str(caught.value)
     assert file in message
@@ -101,6 +105,27 @@ def test_a_config_that_is_not_json_is_refused(folder: Path, text: str) -> None:
     assert_refused(folder, CONFIG, "not JSON")
 
 
+def test_a_key_that_comes_twice_is_refused(folder: Path) -> None:
+    (folder / CONFIG).write_text((folder / CONFIG).read_text().replace('"format": 1', '"format": 1, "format": 1'))
+    assert_refused(folder, CONFIG, "'format' comes twice")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are of POSIX")
+@pytest.mark.parametrize("file", [CONFIG, WEIGHTS])
+def test_a_pipe_is_refused_and_not_waited_for(folder: Path, file: str) -> None:
+    (folder / file).unlink()
+    os.mkfifo(folder / file)
+    assert_refused(folder, file, "must be a regular file, is a named pipe")
+    with pytest.raises(FileError, match="is a named pipe"):
+        job_of(Settings(models=(folder.parent,)), "left_turn", "stgraph")
+
+
+def test_a_huge_config_is_refused(folder: Path) -> None:
+    with (folder / CONFIG).open("r+b") as file:
+        file.truncate(2**40)  # it takes no room on the disk
+    assert_refused(folder, CONFIG, "must have at most 67108864 bytes, has 1099511627776")
+
+
 def test_a_config_that_is_not_text_is_refused(folder: Path) -> None:
     (folder / CONFIG).write_bytes(b"\xff\xfe\x00")
     assert_refused(folder, CONFIG, "not JSON")
@@ -114,6 +139,10 @@ def test_a_config_that_is_not_text_is_refused(folder: Path) -> None:
         ({"spec": "treegraph"}, "unknown spec 'treegraph'"),
         ({"spec": 3}, "spec must be a str"),
         ({"colour": "red"}, "unknown key 'colour'"),
+        ({"fromat": 1}, "; did you mean format?"),
+        ({"threshold": 10**400}, "threshold must be"),
+        ({"format": 10**400}, "format must be 1"),
+        ({"spec": "s" * 10**6}, "unknown spec 'sss"),
         ({"threshold": 1.5}, "threshold must be"),
         ({"threshold": None}, "threshold must be"),
         ({"threshold": float("nan")}, "threshold must be"),
@@ -137,6 +166,9 @@ def test_a_config_that_says_something_else_is_refused(folder: Path, keys: dict[s
         ({"commands": 5}, "network commands must be a whole number from 6 to 127, got 5"),
         ({"fusion": ["last"]}, "network fusion must be"),
         ({"hidden": None}, "network hidden must be"),
+        ({"hidden": 10**400}, "network hidden must be"),
+        ({"position_scale": 10**400}, "position_scale"),
+        ({"layers": [[]]}, "network layers must be"),
     ],
 )
 def test_a_network_that_cannot_be_is_refused(folder: Path, knobs: dict[str, object], reason: str) -> None:
@@ -185,7 +217,7 @@ def test_bytes_that_are_not_safetensors_are_refused(folder: Path) -> None:
     ("threshold", "training"), [(2.0, {}), (0.5, {"loss": float("nan")}), (0.5, {"rng": object()})]
 )
 def test_what_cannot_be_saved_leaves_the_old_model(folder: Path, threshold: float, training: dict[str, object]) -> None:
-    with pytest.raises(ModelError):
+    with pytest.raises(FileError):
         save_model(folder, SavedModel(StGraphNet(), threshold, training))
     assert load_model(folder).threshold == 0.3
 
@@ -193,12 +225,12 @@ def test_what_cannot_be_saved_leaves_the_old_model(folder: Path, threshold: floa
 def test_weights_that_are_not_finite_are_not_saved(tmp_path: Path) -> None:
     network = StGraphNet()
     network.project.bias.data[0] = torch.inf
-    with pytest.raises(ModelError, match="not finite"):
+    with pytest.raises(FileError, match="not finite"):
         save_model(tmp_path, SavedModel(network, 0.5))
     assert not list(tmp_path.iterdir())
 
 
 def test_an_error_comes_whole_out_of_another_process():
-    error = pickle.loads(pickle.dumps(ModelError(Path("run") / "config.json", "not JSON:\n line 1")))
-    assert str(error) == str(ModelError(Path("run") / "config.json", "not JSON:\n line 1"))
+    error = pickle.loads(pickle.dumps(FileError(Path("run") / "config.json", "not JSON:\n line 1")))
+    assert str(error) == str(FileError(Path("run") / "config.json", "not JSON:\n line 1"))
     assert str(error) == f"{Path('run') / 'config.json'}: not JSON: line 1"

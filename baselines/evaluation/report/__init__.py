@@ -7,9 +7,9 @@ from pathlib import Path
 from baselines.evaluation.report.figures import knowledge_of
 from baselines.evaluation.report.page import html_page
 from baselines.evaluation.report.plots import all_plots
-from baselines.evaluation.store import gif_of, read_records, read_settings
+from baselines.evaluation.store import EPISODES, gif_of, read_records, read_settings
 from baselines.methods import KNOWS_NOTHING
-from cad_env.files import replace_file
+from cad_env.files import MOST_DATA_BYTES, FileError, read_file, replace_text
 from cad_env.scoring.scorecard import Record, scorecards
 
 REPORT = "report.html"
@@ -20,14 +20,16 @@ TELLING = ("collision", "success", "timeout")
 def write_report(folder: Path) -> Path:
     """Write the report of the finished run in a folder, with the animations in its `gifs`; gives its path.
 
-    It depends on the files of the folder only. OSError or ValueError if they cannot be read.
+    It depends on the files of the folder only. FileError if they cannot be read.
     """
     records = read_records(folder)
-    rows, settings = scorecards(records), read_settings(folder)
+    if not records:
+        raise FileError(folder / EPISODES, "holds no episode")
+    rows, settings = scorecards(records), read_settings(folder, ("first_seed", "episodes"))
     knows = knowledge_of(settings)
     shown, left = _animations(folder, records, knows)
     html = html_page(settings, rows, all_plots(rows, records, knows), shown, left)
-    replace_file(folder / REPORT, html.encode())
+    replace_text(folder / REPORT, html)
     return folder / REPORT
 
 
@@ -37,7 +39,7 @@ def _animations(folder: Path, records: Sequence[Record], knows: Mapping[str, str
     shown: dict[str, bytes] = {}
     room = ROOM
     for record in there:
-        data = gif_of(folder, record).read_bytes()
+        data = read_file(gif_of(folder, record), MOST_DATA_BYTES)
         room -= len(data)
         if room < 0:
             break

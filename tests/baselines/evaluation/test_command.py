@@ -17,7 +17,8 @@ from baselines import cli
 from baselines.evaluation.run import identity
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import Store, read_records
-from cad_env.scenarios import SHIPPED
+from baselines.methods import METHODS
+from cad_env.scenarios import SHIPPED, scenario_names
 from policies.model_folder import SavedModel, save_model
 from policies.stgraph.network import StGraphNet
 from tests.baselines.evaluation.test_run import SOME, Refused, files, run
@@ -73,7 +74,10 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
         (["--method", "expert", "expert"], "each once"),
         (["--method"], "at least one"),
         (["--radio", "am"], "unknown radio 'am': choose one of none, ideal, dsrc, cv2x"),
-        (["--radoi", "dsrc"], "Unrecognized options: --radoi"),
+        (["--radoi", "dsrc"], "Unrecognized options: --radoi, dsrc; did you mean --radio?"),
+        (["--gnss_nosie=1"], "; did you mean --gnss-noise?"),
+        (["--no-repotr"], "; did you mean --no-report?"),
+        (["--megre", "a", "b"], "; did you mean --merge?"),
         (["--episodes", "many"], "--episodes: invalid literal for int() with base 10: 'many'"),
         (["--episodes", "0"], "episodes must be a whole number from 1"),
         (["--episodes"], "'--episodes'"),
@@ -90,7 +94,14 @@ def test_the_command_that_is_noted_asks_for_the_same_episodes() -> None:
         (["--traffic", "heavy"], "traffic must be one of none, light, dense, got 'heavy'"),
         (["--penetration", "1.5"], "penetration must be a number from 0 to 1, got 1.5"),
         (["--hazard", "maybe"], "hazard must be one of all, yes, no, got 'maybe'"),
-        (["--method", "stgraph", "--models", "nowhere"], f"no folder {Path('nowhere', 'stgraph')}"),
+        (["--hazard", "yse"], "hazard must be one of all, yes, no, got 'yse'; did you mean yes?"),
+        (["--radio", "DSRC"], "; did you mean dsrc?"),
+        (["--traffic", "lihgt"], "; did you mean light?"),
+        (["--scenario", "left-turn"], "; did you mean left_turn?"),
+        (["--method", "stgraf"], "; did you mean stgraph?"),
+        (["--backend", "rya"], "; did you mean ray?"),
+        (["--method", "stgraph", "--models", "nowhere"], "stgraph needs training, and nowhere has no model of it"),
+        (["--method", "gat"], "gat needs training, and "),
     ],
 )
 def test_bad_input_is_refused_in_one_line(arguments: list[str], reason: str, refused: Refused, tmp_path: Path) -> None:
@@ -115,8 +126,10 @@ def test_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         evaluate.main(["--help"])
     assert stopped.value.code == 0
-    said = capsys.readouterr().out
-    assert all(word in said for word in ("--sensor-noise", "blind-D", "stop-D", "slow-V", "best-blind"))
+    shown = " ".join(capsys.readouterr().out.split())
+    assert all(word in shown for word in ("--sensor-noise", "blind-D", "stop-D", "slow-V", "best-blind"))
+    assert f"Methods: {', '.join(METHODS)}" in shown
+    assert f"Scenarios: {', '.join(scenario_names())}." in shown
 
 
 def test_help_waits_for_no_heavy_import() -> None:
@@ -191,3 +204,16 @@ def test_a_run_of_other_scenarios_is_another_run(refused: Refused, tmp_path: Pat
     Store(tmp_path, other)
     some = ["--scenario", "left_turn", "--method", "expert", "--episodes", "1"]
     assert 'another scenario (["left_turn", "overtaking"], now ["left_turn"])' in refused(tmp_path, *some)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locales as POSIX has them")
+def test_a_run_whose_names_no_locale_can_write_ends_well(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONIOENCODING": "cp1252"}
+    out = tmp_path / "results_训练"
+    command = [sys.executable, evaluate.__file__, "--scenario", "left_turn", "--method", "always-go"]
+    done = subprocess.run(
+        [*command, "--episodes", "1", "--out", str(out)], env=environment, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stderr.count(b"Error")) == (0, 0)
+    assert b"results_\\u8bad\\u7ec3" in done.stdout
+    assert (out / "report.html").exists()

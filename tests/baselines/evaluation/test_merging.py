@@ -1,12 +1,16 @@
 """A run in parts is the run in one piece."""
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 import evaluate
 from baselines.evaluation.grid import grid
+from baselines.evaluation.report import write_report
 from baselines.evaluation.store import Merging, merged
+from cad_env.files import FileError
 from cad_env.scoring.scorecard import parse_record
 
 SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-own", "--episodes", "30"]
@@ -96,4 +100,41 @@ def test_what_is_no_shard_is_refused(shards: list[Path], tmp_path: Path, capsys:
     assert "merge must name at least one folder" in refusal(capsys, "--out", tmp_path)
     assert "Unrecognized options: --episodes" in refusal(capsys, *shards, "--episodes", "3")
     (tmp_path / "settings.json").write_text("{}")
-    assert "damaged" in refusal(capsys, tmp_path, "--out", tmp_path / "out")
+    assert "settings.json: scenario is missing" in refusal(capsys, tmp_path, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "reason"),
+    [
+        ("radio", {"rate": "abc"}, "radio.rate must be a number, got 'abc'"),
+        ("radio of planner-own", {"rate": []}, "radio of planner-own.rate must be a number, got []"),
+        ("method", "always-go", "method must be a list of names, got 'always-go'"),
+        ("method", [["always-go"]], "method must be a list of names"),
+        ("scenario", {}, "scenario must be a list of names"),
+        ("episodes", 10**400, "episodes must be a whole number from 1 to 10000000, got 1000"),
+        ("episodes", True, "episodes must be a whole number"),
+        ("first_seed", 1.5, "first_seed must be a whole number from 0 on, got 1.5"),
+        ("first_seed", -1, "first_seed must be a whole number from 0 on, got -1"),
+        ("knowledge of mine:Policy", ["the truth"], "knowledge of mine:Policy must be one of nothing, "),
+    ],
+)
+def test_damaged_settings_of_a_shard_are_refused_with_file_and_field(
+    setting: str, value: object, reason: str, shards: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "shard"
+    shutil.copytree(shards[0], folder)
+    path = folder / "settings.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {setting: value}))
+    assert f"error: {path}: {reason}" in refusal(capsys, folder, shards[1], "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(FileError, match="shard"):
+        write_report(folder)
+
+
+@pytest.mark.parametrize("depth", [80, 3000])
+def test_a_setting_of_a_shard_may_not_be_nested_for_ever(
+    depth: int, shards: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "settings.json"
+    path.write_text('{"method": %s}' % ("[" * depth + "]" * depth))
+    assert f"{path}: not JSON of at most 64 levels" in refusal(capsys, tmp_path, "--out", tmp_path / "out")

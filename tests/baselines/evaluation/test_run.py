@@ -23,6 +23,13 @@ from cad_env.scoring.time_lost import time_lost
 SOME = ["--scenario", "left_turn", "--method", "always-go", "planner-shared", "--episodes", "3"]
 LONG = ["--scenario", "left_turn", "--method", "always-brake", "--episodes", "75"]
 
+LINE = (
+    '{"scenario": "left_turn", "method": "always-go", "seed": 7, "hazard": true, "outcome": "success", "time": %s, '
+    '"brakes": 0, "bytes_per_message_mean": null, "bytes_per_message_max": null, "messages_sent": 0, '
+    '"messages_lost": 0, "bytes_total": 0, "min_ttc": null, "hazard_time": null, "connected": 4, "hardest_brake": 0}'
+    "\n"
+)
+
 Refused = Callable[..., str]
 
 
@@ -289,16 +296,29 @@ def test_other_settings_in_the_same_folder_are_refused_by_name(
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("settings.json", "{", "settings.json is damaged"),
-        ("settings.json", "[]", "settings.json is damaged"),
-        ("episodes.jsonl", '{"seed": 1}\n', "episodes.jsonl line 1: an episode's record must have the keys"),
-        ("episodes.jsonl", "\x00\x00\n", "episodes.jsonl line 1: not JSON"),
+        ("settings.json", "{", "settings.json: not JSON"),
+        ("settings.json", "[]", "settings.json: must hold a JSON object, got list"),
+        ("settings.json", "[" * 5000, "settings.json: not JSON of at most 64 levels"),
+        ("settings.json", '{"scenario": 1, "scenario": 2}', "settings.json: not JSON with every key once: 'scenario'"),
+        ("episodes.jsonl", LINE % ("5" + "0" * 400), "episodes.jsonl: line 1: an episode's record cannot have time 5"),
+        ("episodes.jsonl", LINE % "1e300", "line 1: an episode's record cannot have time 1e+300"),
+        ("episodes.jsonl", LINE % ("5" * 5000), "episodes.jsonl: line 1: time must have at most 4300 digits"),
+        ("episodes.jsonl", '{"seed": 1}\n', "episodes.jsonl: line 1: an episode's record must have the keys"),
+        ("episodes.jsonl", "\x00\x00\n", "episodes.jsonl: line 1: not JSON"),
     ],
 )
 def test_damaged_results_are_refused_and_kept(name: str, text: str, reason: str, refused: Refused, copy: Path) -> None:
     (copy / name).write_text(text)
     assert reason in refused(copy, *SOME)
     assert (copy / name).read_text() == text
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are of POSIX")
+@pytest.mark.parametrize("name", ["settings.json", "episodes.jsonl"])
+def test_a_pipe_in_place_of_results_is_refused_and_not_waited_for(name: str, refused: Refused, copy: Path) -> None:
+    (copy / name).unlink()
+    os.mkfifo(copy / name)
+    assert f"{copy / name}: must be a regular file, is a named pipe" in refused(copy, *SOME)
 
 
 def test_episodes_of_unknown_settings_are_refused(refused: Refused, copy: Path) -> None:

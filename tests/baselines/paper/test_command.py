@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -174,8 +176,8 @@ def test_what_is_not_finished_is_left_out_and_counted(plan: Plan) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'"),
-        (["--method", "gta"], "unknown method 'gta'"),
+        (["--preset", "quikc"], "preset must be one of quick, hour, full, got 'quikc'; did you mean quick?"),
+        (["--method", "gta"], "; did you mean gat?"),
         (["--shard", "3/2"], "shard must be i/n"),
         (["--shard", "1/2", "--merge"], "leave out --shard"),
         (["--jobs", "0"], "jobs must be"),
@@ -230,7 +232,7 @@ def test_what_failed_is_told_and_kept_though_the_next_stage_is_interrupted(
 
     monkeypatch.setattr("baselines.workers.heard", interrupted)
     assert reproduce.main(["--method", "command-only", "always-go", "--out", str(run)]) == 130
-    assert "failed: train command-only seed 0: ValueError" in capsys.readouterr().err
+    assert "failed: train command-only seed 0: FileError" in capsys.readouterr().err
     assert "Traceback" in (run / "failures.txt").read_text()
 
 
@@ -250,6 +252,17 @@ def test_a_reason_is_one_line_however_many_its_error_has() -> None:
     assert "Traceback" in story
 
 
+@pytest.mark.skipif(os.name != "posix", reason="locales as POSIX has them")
+def test_failures_are_noted_in_a_locale_without_their_letters(tmp_path: Path) -> None:
+    code = "from baselines.paper.command import _note; from pathlib import Path; import sys; "
+    code += r"found = [('train \u2264', 'loss \u2264 1\nTraceback \u8bad')]; _note(Path(sys.argv[1]), found, found)"
+    plain = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    command = [sys.executable, "-c", code, str(tmp_path / "failures.txt")]
+    done = subprocess.run(command, env=plain, capture_output=True, check=True, cwd=Path(__file__).parents[3])
+    assert (tmp_path / "failures.txt").read_text(encoding="utf-8") == "train ≤\nloss ≤ 1\nTraceback 训\n"
+    assert done.stderr == b"failed: train \\u2264: loss \\u2264 1\n"
+
+
 @pytest.mark.slow
 def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -261,7 +274,7 @@ def test_a_row_that_fails_is_named_and_does_not_stop_the_others(
     arguments = ["--method", "command-only", "gat", "always-go", "--out", str(tmp_path / "run")]
     assert reproduce.main(arguments) == 1
     error = capsys.readouterr().err
-    assert "failed: train command-only seed 0: ValueError" in error
+    assert "failed: train command-only seed 0: FileError" in error
     records = read_records(tmp_path / "run/closed/dsrc/0")
     assert {record.method for record in records} == {"always-go", "gat"}
     assert "Traceback" in (tmp_path / "run/failures.txt").read_text()

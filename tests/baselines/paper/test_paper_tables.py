@@ -20,6 +20,7 @@ from baselines.paper.report import found_in, write_results
 from baselines.paper.sweeps import SWEEPS, points
 from baselines.paper.tables import outcome_table, percent_cell, sweep_table, time_cell
 from cad_env.envs.single import CADEnv
+from cad_env.files import FileError
 from cad_env.scoring.interval import wilson_estimate
 from cad_env.scoring.rollout import rollout
 from cad_env.scoring.scorecard import Record
@@ -266,5 +267,20 @@ def test_a_run_of_few_rows_is_a_report_too(tmp_path: Path) -> None:
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:
     write_closed(tmp_path, training_seeds=1, episodes=2, scenes=["left_turn"])
     (tmp_path / "closed" / "dsrc" / "0" / "episodes.jsonl").write_text("{}\n")
-    with pytest.raises(ValueError, match="line 1"):
+    with pytest.raises(FileError, match=r"episodes.jsonl: line 1: an episode's record must have the keys"):
+        read_run(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "reason"),
+    [
+        ("costs.json", b"[" * 3000, "not JSON of at most 64 levels"),
+        ("costs.json", b'{"stgraph": {"ms": NaN}}', "stgraph.ms must be a finite number, got nan"),
+        ("costs.json", b"\xff", "not JSON: 'utf-8' codec"),
+        ("notes.md", b"fine \xff", "not UTF-8 text: byte 5"),
+    ],
+)
+def test_damaged_notes_and_costs_are_named(name: str, data: bytes, reason: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(FileError, match=f"^{tmp_path / name}: {reason}"):
         read_run(tmp_path)

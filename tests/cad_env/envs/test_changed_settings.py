@@ -100,7 +100,7 @@ WRONG = [
     ("radio", "5g", "unknown radio '5g': choose one of"),
     ("policy_frequency", 5, "policy_frequency is 10 in this environment, got 5"),
     ("observation", {"type": "Kinematics"}, "observation is {'type': 'SpatiotemporalGraph'} in this environment"),
-    ("depth", 0, "depth must be a number from 1 to 15, got 0"),
+    ("depth", 0, "depth must be a whole number from 1 to 15, got 0"),
     ("ranges", {"ego_sped": 1}, "unknown left_turn range ego_sped=1"),
     ("scenario", "right_turn", "unknown scenario 'right_turn'"),
     ("layers", ("x-ray",), "x-ray"),

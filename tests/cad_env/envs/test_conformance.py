@@ -177,7 +177,8 @@ def test_a_seeded_action_space_survives_a_reset():
 @pytest.mark.parametrize("env_id", ["CADScenario-v0", *(scenario.gym_id for scenario in SCENARIOS.values())])
 def test_a_spec_says_how_many_decisions_an_episode_has(env_id: str):
     assert gym.spec(env_id).max_episode_steps == MAX_STEPS
-    assert gym.make(env_id, scenario=next(iter(SCENARIOS))).spec.max_episode_steps == MAX_STEPS
+    options = {"scenario": "left_turn"} if env_id == "CADScenario-v0" else {}
+    assert gym.make(env_id, **options).spec.max_episode_steps == MAX_STEPS
 
 
 def test_gymnasium_s_observation_of_the_time_ends_when_time_is_up():

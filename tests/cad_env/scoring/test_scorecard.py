@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from cad_env.checks import ConfigError
 from cad_env.scoring.interval import wilson
 from cad_env.scoring.scorecard import OUTCOMES, Record, parse_record, scorecards
 from cad_env.scoring.table import table
@@ -55,6 +56,8 @@ def test_a_record_survives_its_line(record: Record) -> None:
     {"seed": -1}, {"seed": 1.5}, {"seed": True}, {"hazard": 1}, {"outcome": "crash"}, {"outcome": None},
     {"outcome": []}, {"time": -0.1}, {"time": "9"}, {"time": None}, {"brakes": None}, {"bytes_per_message_mean": "x"},
     {"bytes_per_message_max": 1.5}, {"min_ttc": -1}, {"scenario": 3}, {"method": None}, {"messages_lost": "0"},
+    {"scenario": "\ud800"}, {"method": "a\udce8"},
+    {"time": 10**400}, {"brakes": 10**400}, {"bytes_total": 2**53 + 1}, {"hardest_brake": 1e300}, {"min_ttc": 10**309},
     {"hazard_time": "0"}, {"connected": 1.5}, {"connected": None}, {"hardest_brake": -1.0}, {"hardest_brake": None},
 ])  # fmt: skip
 def test_an_altered_record_is_refused_with_the_name_of_what_is_wrong(change: dict[str, object]) -> None:
@@ -71,6 +74,24 @@ def test_what_is_no_record_is_refused_in_one_line(line: str) -> None:
     with pytest.raises(ValueError, match=r".") as caught:
         parse_record(line)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", [0, 2**63, 2**128 - 1, 10**400])
+def test_a_seed_of_any_size_survives_its_line(seed: int) -> None:
+    assert parse_record(replace(CALM, seed=seed).line()).seed == seed
+
+
+def test_the_largest_numbers_add_up() -> None:
+    most = 2**53
+    loud = replace(CALM, time=most, bytes_total=most, messages_sent=most, bytes_per_message_max=most, min_ttc=most)
+    row = scorecards([loud, replace(loud, seed=2)])[0]
+    assert (row.mean_time, row.bytes_per_message_mean) == (most, 1.0)
+    json.dumps(vars(row), allow_nan=False)
+
+
+def test_a_key_that_comes_twice_is_refused() -> None:
+    with pytest.raises(ConfigError, match="'seed' comes twice"):
+        parse_record(CALM.line()[:-1] + ', "seed": 2}')
 
 
 def test_rows_count_what_happened() -> None:

@@ -1,19 +1,22 @@
 """Training: batches are balanced, the loss falls, and a run that was stopped resumes as if it had not been."""
 
 import csv
+import math
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import FileError
 from cad_env.scenarios import SCENARIOS
 from cad_env.scoring.rollout import Episode
 from cad_env.types import BRAKE, Policy
-from policies.model_folder import ModelError, load_model
+from policies.model_folder import load_model
 from policies.spec import Frames
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.spec import SPEC
@@ -265,6 +268,109 @@ def test_a_damaged_checkpoint_is_refused_with_its_name(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for broken in (b"", whole[:100], whole[:-4], b"not safetensors"):
         path.write_bytes(broken)
-        with pytest.raises(ModelError, match=r"state\.safetensors: not a checkpoint") as error:
+        with pytest.raises(FileError, match=r"state\.safetensors: not a checkpoint") as error:
             load_state(path, network, optimiser)
         assert "\n" not in str(error.value)
+
+
+def trained_a_step(seed: int) -> tuple[StGraphNet, torch.optim.Adam]:
+    """A network and its optimiser, which has moments of every parameter but the last."""
+    network = StGraphNet(seed=seed)
+    optimiser = torch.optim.Adam(network.parameters())
+    *parameters, _ = network.parameters()
+    sum(parameter.sum() for parameter in parameters).backward()  # type: ignore[union-attr]
+    optimiser.step()
+    return network, optimiser
+
+
+def test_a_checkpoint_comes_back_with_the_optimisers_moments(tmp_path: Path) -> None:
+    network, optimiser = trained_a_step(0)
+    save_state(tmp_path / "state.safetensors", network, optimiser, 0.25)
+    other, fresh = trained_a_step(1)
+    assert load_state(tmp_path / "state.safetensors", other, fresh) == 0.25
+    for index, moments in optimiser.state_dict()["state"].items():
+        for name, value in moments.items():
+            assert torch.equal(fresh.state_dict()["state"][index][name], value)
+    assert fresh.state_dict()["state"].keys() == optimiser.state_dict()["state"].keys()
+    assert str(other.state_dict()) == str(network.state_dict())
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"adam": None}, "it holds nothing of the optimiser"),
+        ({"adam.0.exp_avg": torch.zeros(1)}, "adam.0.exp_avg must be torch.float32 of shape (12, "),
+        ({"adam.0.step": torch.zeros(2)}, "adam.0.step must be torch.float32 of shape ()"),
+        ({"adam.0.exp_avg": None}, "adam.0 must have step, exp_avg, exp_avg_sq"),
+        ({"adam.99.step": torch.tensor(1.0)}, "adam.99.step is nothing of this optimiser"),
+        ({"adam.x.step": torch.tensor(1.0)}, "adam.x.step is nothing of this optimiser"),
+        ({"adam.0.rate": torch.tensor(1.0)}, "adam.0.rate is nothing of this optimiser"),
+        ({"loss": None}, "loss must be one number"),
+        ({"loss": torch.zeros(2)}, "loss must be one number"),
+        ({"network": None}, "Missing key"),
+        ({"network.more": torch.zeros(2)}, "Unexpected key"),
+    ],
+)
+def test_a_checkpoint_without_or_with_other_parts_is_refused(
+    change: dict[str, torch.Tensor | None], reason: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "state.safetensors"
+    network, optimiser = trained_a_step(0)
+    save_state(path, network, optimiser, 0.25)
+    tensors = safetensors.torch.load(path.read_bytes())
+    for name, value in change.items():
+        tensors = {known: part for known, part in tensors.items() if known != name and not known.startswith(f"{name}.")}
+        tensors |= {} if value is None else {name: value}
+    path.write_bytes(safetensors.torch.save(tensors))
+    with pytest.raises(FileError, match=re.escape(reason)) as error:
+        load_state(path, network, optimiser)
+    assert str(error.value).startswith(f"{path}: not a checkpoint of this network (")
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("column", "text", "reason"),
+    [
+        ("round", "first", "round must be a whole number from 0 to 1e+09, got 'first'"),
+        ("round", "1.5", "round must be a whole number"),
+        ("segment", "null", "segment must be a whole number from 0 to 1e+09, got 'null'"),
+        ("failures", "[1]", "failures must be a whole number from 0 to 1e+09, got '[1]'"),
+        ("failures", "true", "failures must be a whole number"),
+        ("failures", "-1", "failures must be a whole number"),
+        ("episodes", "9" * 400, "episodes must be a whole number from 0 to 1e+09, got '999"),
+        ("mean_time", "", "mean_time must be a number from 0 to 1e+09, got ''"),
+        ("mean_time", "nan", "mean_time must be a number"),
+        ("threshold", "1.5", "threshold must be a number from 0 to 1, got '1.5'"),
+        ("loss", "low", "loss must be a number"),
+    ],
+)
+def test_a_damaged_value_in_a_log_is_refused_with_line_and_column(
+    column: str, text: str, reason: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "finalists.csv"
+    log = Log(path)
+    row = {**dict.fromkeys(Log.COLUMNS, 0), "scenario": "left_turn", "threshold": 0.5}
+    log.add(row)
+    log.add({**row, column: text})
+    with pytest.raises(FileError, match=re.escape(f"{path}: line 3: {reason}")) as error:
+        Log(path)
+    assert str(error.value).endswith("; delete the line to have it made again")
+
+
+def test_a_log_comes_back_as_it_was(tmp_path: Path) -> None:
+    log = Log(tmp_path / "metrics.csv")
+    row = {**dict.fromkeys(Log.COLUMNS, 0), "scenario": "left_turn"}
+    for threshold, loss in ((1, 0.25), (0.5, math.nan), (0, math.inf)):
+        log.add({**row, "threshold": threshold, "loss": loss})
+    before = (tmp_path / "metrics.csv").read_bytes()
+    assert repr(Log(tmp_path / "metrics.csv").rows) == repr(log.rows)
+    assert (tmp_path / "metrics.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize("data", [b"round,segment\n", b"", b"\0\n", b"\xff\n"])
+def test_a_log_that_is_another_file_is_refused_and_kept(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "metrics.csv"
+    path.write_bytes(data)
+    with pytest.raises(FileError, match=r"metrics\.csv: "):
+        Log(path)
+    assert path.read_bytes() == data

@@ -1,6 +1,9 @@
 """A demonstrations: what was driven comes back frame by frame, under any radio, and what is damaged is refused."""
 
-from collections.abc import Iterator
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,16 +13,17 @@ import pytest
 
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.files import FileError
 from cad_env.rules.expert import Expert
 from cad_env.types import BRAKE, Observation
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.policy import StGraphPolicy
 from policies.stgraph.spec import SPEC
 from policies.training import demonstrations as demonstrations
+from policies.training.array_file import write_arrays
 from policies.training.demonstrations import (
     Demonstrations,
     ReplayError,
-    ShardError,
     joined,
     read_shard,
     record,
@@ -163,9 +167,9 @@ def test_a_shard_that_another_process_finishes_meanwhile_is_no_error(
 
 
 def test_shards_of_other_episodes_or_settings_are_refused(folder: Path, recorded: Demonstrations) -> None:
-    with pytest.raises(ShardError, match="holds other episodes"):
+    with pytest.raises(FileError, match="holds other episodes"):
         record(folder, CADVectorEnv(1), None, range(5), lambda n: None)
-    with pytest.raises(ShardError, match="has traffic 'light', not 'dense'"):
+    with pytest.raises(FileError, match="has traffic 'light', not 'dense'"):
         record(folder, CADVectorEnv(1, traffic="dense"), None, range(6), lambda n: None)
 
 
@@ -185,13 +189,103 @@ def test_a_damaged_shard_is_refused_with_its_name(damage: str, recorded: Demonst
         path.unlink()
     else:
         path.write_bytes(broken[damage])
-    with pytest.raises(ShardError, match="shard_00000") as error:
+    with pytest.raises(FileError, match="shard_00000") as error:
         read_shard(path, MADE_WITH)
     assert "\n" not in str(error.value)
 
 
-def test_a_shard_whose_arrays_do_not_fit_is_refused(recorded: Demonstrations, tmp_path: Path) -> None:
-    path = tmp_path / "shard.npz"
-    write_shard(path, replace(recorded, label=recorded.label[:-1]), MADE_WITH)
-    with pytest.raises(ShardError, match="do not fit"):
+def refusal(path: Path) -> str:
+    """What is said of a shard, behind its path."""
+    with pytest.raises(FileError) as caught:
         read_shard(path, MADE_WITH)
+    said = str(caught.value)
+    assert said.startswith(f"{path}: ")
+    assert len(said.splitlines()) == 1
+    return said.removeprefix(f"{path}: ")
+
+
+def sealed(path: Path, archive: bytes) -> Path:
+    """A file with the right checksum, as another tool might make it."""
+    path.write_bytes(archive + hashlib.sha256(archive).digest())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "reason"),
+    [
+        ("label", lambda part: part[:-1], "its arrays do not fit together, or label"),
+        ("length", lambda part: part[:-1], "its arrays do not fit together, or length"),
+        ("length", lambda part: -part, "its arrays do not fit together, or length"),
+        ("length", lambda part: part + 2**62, "its arrays do not fit together, or length"),
+        ("outcome", lambda part: 0 * part, "its arrays do not fit together, or outcome"),
+        ("outcome", lambda part: part + 7, "its arrays do not fit together, or outcome"),
+        ("outcome", lambda part: part[:-1], "its arrays do not fit together, or outcome"),
+        ("action", lambda part: part + 2, "its arrays do not fit together, or action"),
+        ("seed", lambda part: -1 - part, "its arrays do not fit together, or seed"),
+        ("seed", lambda part: 0 * part, "its arrays do not fit together, or seed"),
+        ("seed", lambda part: part[0], "seed must be a row of int64, got int64 of shape ()"),
+        ("seed", lambda part: part.astype(float), "seed must be a row of int64, got float64 of shape (6,)"),
+        ("length", lambda part: part.astype(str), "length must be a row of int64, got <U21 of shape (6,)"),
+        ("action", lambda part: part[None], "action must be a row of int8, got int8 of shape (1, "),
+    ],
+)
+def test_a_shard_that_was_put_together_wrongly_is_refused_with_the_array(
+    name: str, change: Callable[[Any], Any], reason: str, recorded: Demonstrations, tmp_path: Path
+) -> None:
+    arrays = {**vars(recorded), name: change(getattr(recorded, name))}
+    text = json.dumps({"format": 3, "episodes": 6, **MADE_WITH})
+    write_arrays(tmp_path / "shard.npz", text, arrays)
+    assert refusal(tmp_path / "shard.npz").startswith(reason)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[" * 3000, "its text: not JSON of at most 64 levels"),
+        ("", "its text: not JSON"),
+        ("[1]", "its text must be a JSON object, got list"),
+        ('{"episodes": %s}' % ("9" * 400), "has format None, not 3: delete it"),
+        ('{"format": 3, "episodes": %s}' % ("9" * 400), "has episodes 999"),
+        ('{"format": 3, "format": 3}', "its text: not JSON with every key once: 'format'"),
+    ],
+)
+def test_a_shard_that_does_not_say_what_it_is_is_refused(
+    text: str, reason: str, recorded: Demonstrations, tmp_path: Path
+) -> None:
+    write_arrays(tmp_path / "shard.npz", text, vars(recorded))
+    assert refusal(tmp_path / "shard.npz").startswith(reason)
+
+
+def test_what_is_no_archive_of_these_arrays_is_refused(recorded: Demonstrations, tmp_path: Path) -> None:
+    path = tmp_path / "shard.npz"
+    alone = io.BytesIO()
+    np.save(alone, recorded.seed)
+    assert refusal(sealed(path, alone.getvalue())).startswith("not an archive of arrays: ")
+    assert refusal(sealed(path, b"")).startswith("not an archive of arrays: ")
+    objects = io.BytesIO()
+    np.savez(objects, text=np.array("{}"), seed=np.array([{}, []], object))
+    assert refusal(sealed(path, objects.getvalue())).startswith("not an archive of arrays: ")
+    empty = io.BytesIO()
+    np.savez(empty, seed=recorded.seed)
+    assert refusal(sealed(path, empty.getvalue())) == "text must be one text"
+    write_arrays(path, "{}", {"seed": recorded.seed})
+    assert refusal(path).startswith("must hold the arrays seed, length, outcome, action, label, got seed")
+
+
+def test_an_archive_that_is_cut_or_altered_below_its_checksum_is_refused(
+    recorded: Demonstrations, tmp_path: Path
+) -> None:
+    path = tmp_path / "shard.npz"
+    write_shard(path, recorded, MADE_WITH)
+    archive = path.read_bytes()[:-32]
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        altered = bytearray(archive[: rng.integers(1, len(archive) + 1)] if rng.random() < 0.3 else archive)
+        for place in rng.integers(0, len(altered), 3):
+            altered[place] = rng.integers(256)
+        try:
+            found = read_shard(sealed(path, bytes(altered)), MADE_WITH)
+        except FileError as error:
+            assert str(error).startswith(f"{path}: ")  # noqa: PT017
+        else:
+            assert found.seed.shape == recorded.seed.shape

@@ -227,7 +227,8 @@ def choices(names: Iterable[str] | None = None) -> str:
     """For `--help`: the names of methods, by default of all, and of scenarios."""
     from cad_env.scenarios import scenario_names  # here, because it takes a second that only this help need wait
 
-    return f"Methods: {', '.join((*METHODS, *FORMS) if names is None else names)}.\nScenarios: {', '.join(scenario_names())}."
+    said = ", ".join((*METHODS, *FORMS) if names is None else names)
+    return f"Methods: {said}.\nScenarios: {', '.join(scenario_names())}."
 
 
 def how_to_train(name: str, scenarios: Sequence[str] = ()) -> str:

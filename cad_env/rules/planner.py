@@ -51,7 +51,7 @@ class PlannerConfig:
     ahead: float = 0.5  # s of its travel by which a vehicle is lengthened in front ...
     behind: float = 0.3  # s ... and behind
     margin: float = 0.5  # m around every vehicle
-    gate: float = (
+    gate: float = 25.0  # m beyond its stopping distance, where all of the way through an oncoming lane must be free
         2.0  # m beyond its stopping distance: so near to an oncoming lane, all of the way through it must be free
     )
 

@@ -15,7 +15,7 @@ from cad_env.world.state import crashed
 from cad_env.world.step import advance
 
 
-def drive(env: CADParallelEnv, seed: int, count: int = 300, action=None) -> list[tuple]:
+def drive(env: CADParallelEnv, seed: int, count: int = MAX_STEPS, action=None) -> list[tuple]:
     """Every step's result, by Twitchy unless an action is given."""
     policy = Twitchy()
     observations, infos = env.reset(seed=seed)
@@ -121,13 +121,13 @@ def waiting(env: CADParallelEnv) -> list[str]:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
-def test_who_waits_is_who_stands_after_half_a_minute_and_all_others_arrive(scenario: Scenario):
+def test_who_waits_is_who_stands_when_time_is_up_and_all_others_arrive(scenario: Scenario):
     env, told = parallel_env(scenario.gym_id, traffic="dense", penetration=0.5), set()
     for seed in range(15):
         _, infos = env.reset(seed=seed, options={"hazard": False})
         simulation, goal = env.simulation, env._goal
         world, rows = simulation.world, simulation.agents
-        for _ in range(300):
+        for _ in range(MAX_STEPS):
             advance(world, simulation.map.routes, rows, np.zeros(len(rows), np.int64), np.zeros(len(world.speed)))
         if crashed(world).any():
             continue  # whoever is behind an accident does not arrive either

@@ -17,7 +17,7 @@ from cad_env.world.state import SCRIPTED, STANDING, Truth
 
 AHEAD = np.stack([np.arange(60) * ROUTE_SPACING, np.zeros(60)], axis=-1)
 EGO = np.array([10.0, 10.0, 4.8, 1.9])  # speed, wanted speed, length, width
-RULE = PlannerConfig(look_ahead=4.0, ahead=0.7, behind=2.0, margin=0.5).rule
+RULE = PlannerConfig().rule
 
 NOWHERE = (math.inf, math.inf)  # no stretch of the way is in an oncoming lane
 
@@ -198,7 +198,7 @@ def test_the_same_knowledge_gives_the_same_decision():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("look_ahead", 0.0), ("look_ahead", 31.0), ("ahead", -1.0), ("behind", math.nan), ("margin", "1")],
+    [("clear", -1.0), ("clear", 61.0), ("ahead", -1.0), ("behind", math.nan), ("margin", "1")],
 )
 def test_a_careless_configuration_is_refused(name: str, value: object):
     with pytest.raises(ValueError, match=f"{name} must be a number from .*, got {value!r}"):

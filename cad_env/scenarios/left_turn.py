@@ -24,7 +24,7 @@ class LeftTurnRanges(StreamRanges):
 
     ego_speed: Range = span(8.0, 10.0, within=(1.0, 20.0))  # m/s it wants to turn at
     ego_start: Range = span(26.0, 40.0, within=(5.0, 150.0))  # m before its stop line
-    stream_speed: Range = span(16.5, 20.0, within=(5.0, 20.0))  # m/s of the hidden stream
+    stream_speed: Range = span(16.5, 20.0, within=(8.0, 20.0))  # m/s of the hidden stream
     platoon: tuple[int, int] = count(4, 9, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.4, 2.0, within=(1.0, 10.0))  # s from one to the next
     platoon_gap: Range = span(3.8, 5.5, within=(1.0, 60.0))  # s from a platoon to the next

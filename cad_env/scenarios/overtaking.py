@@ -69,7 +69,7 @@ class OvertakingRanges(StreamRanges):
 
     ego_speed: Range = span(8.5, 10.5, within=(3.0, 15.0))  # m/s it wants to drive at
     ego_start: Range = span(35.0, 50.0, within=(30.0, 150.0))  # m before it would swing out
-    stream_speed: Range = span(10.0, 13.5, within=(5.0, 15.0))  # m/s of the oncoming stream
+    stream_speed: Range = span(10.0, 13.5, within=(8.0, 15.0))  # m/s of the oncoming stream
     platoon: tuple[int, int] = count(2, 4, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.4, 2.0, within=(1.0, 10.0))  # s from one to the next
     platoon_gap: Range = span(14.0, 18.0, within=(1.0, 60.0))  # s from a platoon to the next

@@ -10,7 +10,7 @@ from scenes import ARM, BESIDE, EAST, NORTH, WEST, cross, go_on, moments, world_
 
 from cad_env.scenarios.scene import Placement
 from cad_env.types import BRAKE, GO, TRUCK
-from cad_env.world.drivers import HARDEST_BRAKING, LOOK_AHEAD, MIN_GAP, gap_to_crosser, gap_to_leader, idm_acceleration
+from cad_env.world.drivers import HARDEST_BRAKING, LOOK_AHEAD, MIN_GAP, gap_to_intruder, gap_to_leader, idm_acceleration
 from cad_env.world.state import IDM, OFF, SCRIPTED, STANDING, STREAM, World, crashed
 from cad_env.world.step import SUBSTEP, substep
 
@@ -163,6 +163,14 @@ def test_the_stream_goes_on_when_the_slower_one_does():
     assert world.speed == pytest.approx([12.0, 12.0], abs=0.3)
 
 
+def test_only_who_has_the_same_route_leads_a_stream():
+    merging = Placement(BESIDE, 130.0, 5.0, 5.0, offset=-2.0)
+    same = Placement(EAST, 140.0, 5.0, 5.0)
+    for driver, gap in ((STREAM, 40.0), (IDM, 30.0)):
+        world = world_of(Placement(EAST, 100.0, 10.0, 10.0, driver), merging, same)
+        assert gap_to_leader(world, cross(), 0) == pytest.approx((gap - 4.8, 5.0))
+
+
 # --- Attention: who is across the way ---------------------------------------------------------------------------
 
 
@@ -214,9 +222,9 @@ def test_the_time_begins_anew_when_the_way_was_free_again():
     assert first_reaction(world) == pytest.approx(1.0, abs=SUBSTEP + 1e-9)
 
 
-def test_the_crosser_is_the_nearest_across_the_way_and_nobody_else():
+def test_the_intruder_is_the_nearest_of_another_route_in_the_way_and_nobody_else():
     def gap(*others: Placement) -> tuple[float, float]:
-        return gap_to_crosser(world_of(streaming(ARM - 50.0, 10.0), *others), cross(), 0)
+        return gap_to_intruder(world_of(streaming(ARM - 50.0, 10.0), *others), 0)
 
     nobody = (math.inf, 0.0)
     free = 50.0 - 0.5 * 4.8 - 0.5 * 1.9
@@ -226,12 +234,14 @@ def test_the_crosser_is_the_nearest_across_the_way_and_nobody_else():
     assert gap(in_the_way(3.8)) == nobody  # ... and is not
     assert gap(in_the_way(driver=OFF)) == gap(in_the_way(driver=STANDING)) == nobody
     assert gap(Placement(EAST, ARM - 20.0, 5.0, 5.0), Placement(BESIDE, ARM - 20.0, 5.0, 5.0)) == nobody
+    merging = Placement(BESIDE, ARM - 20.0, 5.0, 5.0, offset=-2.0)  # half in the lane already
+    assert gap(merging) == pytest.approx((30.0 - 4.8, 5.0))
     towards = Placement(WEST, ARM - 10.0, 7.0, 7.0)  # a ghost driver, 60 m ahead
     assert gap(towards) == pytest.approx((60.0 - 4.8, -7.0))
     assert gap(towards, in_the_way()) == pytest.approx((free, 0.0))
     behind, far = streaming(ARM + 3.0, 10.0), streaming(ARM - LOOK_AHEAD - 1.0, 10.0)
     for vehicle in (behind, far):
-        assert gap_to_crosser(world_of(vehicle, in_the_way()), cross(), 0) == nobody
+        assert gap_to_intruder(world_of(vehicle, in_the_way()), 0) == nobody
 
 
 @given(st.floats(1.0, 20.0), st.floats(-30.0, 90.0), st.floats(0.0, 2.0), st.floats(0.0, 15.0), st.integers(0, 3))

@@ -395,9 +395,13 @@ def test_never_braking_collides_in_a_hazard_and_not_without_one(scenario: Scenar
 
 
 @EVERY
-def test_the_expert_arrives_with_and_without_a_hazard(scenario: Scenario):
+@DENSITY
+def test_the_expert_arrives_with_and_without_a_hazard_and_waits_for_no_gap_for_ever(scenario: Scenario, density: str):
+    env = CADEnv(scenario=scenario.name, traffic=density, radio="none")
     for hazard in (True, False):
-        assert outcomes(scenario, Expert(), hazard) == ["success"] * 40
+        episodes = [rollout(env, Expert(), seed, hazard=hazard) for seed in range(1_000_000, 1_000_025)]
+        assert {episode.outcome for episode in episodes} == {"success"}
+        assert max(episode.time for episode in episodes) < 36.0
 
 
 @EVERY

@@ -163,7 +163,8 @@ def test_an_agent_at_a_red_light_waits_for_the_others_to_be_done_and_is_paid_not
 
 def test_when_time_is_up_all_that_are_left_are_truncated_those_that_only_waited_too():
     env = parallel_env(max_cycles=40)
-    history = drive(env, 1, action=BRAKE)
+    all_others_wait(env)
+    history = drive(env, env.simulation.seed, action=BRAKE)
     _, rewards, terminations, truncations, _ = history[-1]
     assert len(history) == 41
     assert env.outcomes == {"cav_0": "timeout"} | dict.fromkeys(["cav_1", "cav_2", "cav_3"], "waited")
@@ -194,10 +195,14 @@ def test_rllib_s_wrapper_sees_the_end_when_it_comes(scenario: Scenario, wrapped,
 
 
 def test_who_crashes_in_the_last_step_of_all_is_terminated_and_truncated_with_the_others():
-    first = drive(parallel_env(), 3, action=GO)
-    crash = next(k for k, step in enumerate(first[1:], 1) if step[4]["cav_0"]["crashed"])
+    seed, crash = next(
+        (seed, k)
+        for seed in range(20)
+        for k, step in enumerate(drive(parallel_env(), seed, action=GO)[1:], 1)
+        if "cav_0" in step[4] and step[4]["cav_0"]["crashed"]
+    )
     env = parallel_env(max_cycles=crash)
-    *_, terminations, truncations, infos = drive(env, 3, action=GO)[-1]
+    *_, terminations, truncations, infos = drive(env, seed, action=GO)[-1]
     assert truncations == dict.fromkeys(infos, True)
     assert len(infos) > 1
     assert [agent for agent in infos if terminations[agent]] == [agent for agent in infos if infos[agent]["crashed"]]

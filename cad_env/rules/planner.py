@@ -28,7 +28,7 @@ from cad_env.world.state import COMMAND_DELAY
 SLOWEST = 1.5  # m/s, below which a vehicle is taken to stand
 CROSSING = math.radians(40)  # rad between a way's heading and a vehicle's, above which it does not drive along it
 ALONG = math.cos(CROSSING)
-BESIDE = 1.75  # m beside a way, half a lane, up to which a vehicle that heads along it is on it
+HALF_LANE = 1.75  # m beside a way, up to which a vehicle that heads along it is on it
 BEYOND = 100.0  # m before the beginning and past the end of a way, up to which one is on it too
 CAR_SIZE, TRUCK_SIZE = (4.8, 2.0), (12.0, 2.6)  # m, what a track of each class is taken to be
 
@@ -52,8 +52,6 @@ class PlannerConfig:
     behind: float = 0.3  # s ... and behind
     margin: float = 0.5  # m around every vehicle
     gate: float = 25.0  # m beyond its stopping distance, where all of the way through an oncoming lane must be free
-        2.0  # m beyond its stopping distance: so near to an oncoming lane, all of the way through it must be free
-    )
 
     def __post_init__(self) -> None:
         limits = {
@@ -121,7 +119,11 @@ def is_on_way(way: Floats, x: float, y: float, heading: float) -> bool:
         ux, uy = dx / length, dy / length
         along, beside = (x - way[p, 0]) * ux + (y - way[p, 1]) * uy, (y - way[p, 1]) * ux - (x - way[p, 0]) * uy
         first, end = -BEYOND if p == 0 else 0.0, length + BEYOND if p == last else length
-        if abs(beside) < BESIDE and first <= along <= end and math.cos(heading) * ux + math.sin(heading) * uy > ALONG:
+        if (
+            abs(beside) < HALF_LANE
+            and first <= along <= end
+            and math.cos(heading) * ux + math.sin(heading) * uy > ALONG
+        ):
             return True
     return False
 

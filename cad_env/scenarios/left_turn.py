@@ -24,7 +24,7 @@ class LeftTurnRanges(StreamRanges):
 
     ego_speed: Range = span(8.5, 10.0, within=(1.0, 20.0))  # m/s it wants to turn at
     ego_start: Range = span(26.0, 40.0, within=(5.0, 150.0))  # m before its stop line
-    stream_speed: Range = span(17.0, 20.0, within=(5.0, 20.0))  # m/s of the hidden stream
+    stream_speed: Range = span(17.0, 20.0, within=(8.0, 20.0))  # m/s of the hidden stream
     platoon: tuple[int, int] = count(1, 3, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.05, 1.2, within=(1.0, 10.0))  # s from one to the next
     platoon_gap: Range = span(3.1, 4.3, within=(1.0, 60.0))  # s from a platoon to the next
@@ -35,7 +35,7 @@ class LeftTurnRanges(StreamRanges):
 
 
 def actors(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator) -> Actors:
-    """The ego, the truck, two that wait in the west and see past it, another truck behind it, the hidden stream."""
+    """The ego, the truck, two that wait in the west, the first of which sees past it, another truck behind it, the hidden stream."""
     target = rng.uniform(*ranges.ego_speed)
     start = LEFT_TURN_LINE - rng.uniform(*ranges.ego_start)
     ego = Placement(junction.route("south_left"), start, target * rng.uniform(_SLOW_START, 1.0), target)
@@ -45,7 +45,7 @@ def actors(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator) -> A
     route = junction.route("north_through")
     stream = hidden_stream(rng, ranges, route, junction.crossing(ego.route, route)[1])
     goal = LEFT_TURN_LINE + ARC + 25.0
-    return Actors((*seen, *stream), (2, 3), goal, rows_from(len(seen), stream))
+    return Actors((*seen, *stream), (2,), goal, rows_from(len(seen), stream))
 
 
 def _truck(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator) -> Placement:

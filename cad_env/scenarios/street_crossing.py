@@ -32,7 +32,7 @@ class StreetCrossingRanges(StreamRanges):
 
     ego_speed: Range = span(8.0, 10.0, within=(1.0, 20.0))  # m/s it wants to cross at
     ego_start: Range = span(40.0, 58.0, within=(5.0, 150.0))  # m before its stop line
-    stream_speed: Range = span(14.0, 18.5, within=(5.0, 20.0))  # m/s of the vehicles on the hidden approach
+    stream_speed: Range = span(14.0, 18.5, within=(8.0, 20.0))  # m/s of the vehicles on the hidden approach
     platoon: tuple[int, int] = count(4, 9, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.0, 1.15, within=(1.0, 10.0))  # s from one to the next
     platoon_gap: Range = span(3.6, 5.0, within=(1.0, 60.0))  # s from a platoon to the next

@@ -66,14 +66,24 @@ def platoon_times(
     platoon: how many vehicles it has, both ends included; headway: s from one to the next within it, front to front;
     gap: s from its last one to the first of the next.
     """
-    times: list[float] = []
-    time = EARLIEST - rng.uniform(0.0, platoon[1] * headway[1] + gap[1])  # so that no time is a special one
+    # A stream that has been going on for ever: the longer a platoon the likelier it is met, at any moment of it alike.
+    longest = platoon[1] * headway[1] + gap[1]
+    waits, passed = _waits(rng, platoon, headway, gap), rng.uniform(0.0, longest)
+    while sum(waits) <= passed:
+        waits, passed = _waits(rng, platoon, headway, gap), rng.uniform(0.0, longest)
+    times, time = [], EARLIEST - passed
     while time < until:
-        for _ in range(int(rng.integers(*platoon, endpoint=True))):
+        for wait in waits:
             times.append(time)
-            time += rng.uniform(*headway)
-        time += rng.uniform(*gap) - headway[0]
+            time += wait
+        waits = _waits(rng, platoon, headway, gap)
     return [time for time in times if EARLIEST <= time < until]
+
+
+def _waits(rng: np.random.Generator, platoon: tuple[int, int], headway: Range, gap: Range) -> list[float]:
+    """s from each vehicle of a platoon to the next one, the last of which is the first of the next platoon."""
+    within = int(rng.integers(*platoon, endpoint=True)) - 1
+    return [*rng.uniform(*headway, within).tolist(), rng.uniform(*gap)]
 
 
 def hidden_stream(rng: np.random.Generator, ranges: Any, route: int, conflict: float) -> list[Placement]:

@@ -14,10 +14,10 @@ from cad_env.envs.single import CADEnv
 from cad_env.scenarios import registry
 from cad_env.scenarios.routes import RoutePlan, sample_routes
 from cad_env.scenarios.scenario import Scenario
-from cad_env.scenarios.scene import Placement, Scene, place
+from cad_env.scenarios.scene import Placement, place
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import BRAKE, CAR, GO, Command
+from cad_env.types import BRAKE, CAR, GO, MAX_STEPS, Command
 from cad_env.world.state import STANDING, Routes, World, empty_world
 from cad_env.world.step import advance
 
@@ -40,7 +40,7 @@ def cross() -> Routes:
 
 def world_of(*vehicles: Placement) -> World:
     """A world on `cross()` with these vehicles in it."""
-    return place(Scene(vehicles, (0,), False, None, 0, goal=np.inf), cross())
+    return place(vehicles, cross())
 
 
 def boxes(*placed: tuple[float, ...], kind: int = CAR) -> World:
@@ -109,7 +109,9 @@ def started(seed: int, hazard: bool | None = None, **options: Any) -> Simulation
     return simulation
 
 
-def steps(simulation: Simulation, count: int = 300, action: Callable[[int], int] = lambda agent: GO) -> Iterator[int]:
+def steps(
+    simulation: Simulation, count: int = MAX_STEPS, action: Callable[[int], int] = lambda agent: GO
+) -> Iterator[int]:
     """Yield the step number at the start and after every decision, until the ego's episode ends or for `count`."""
     yield 0
     chosen = np.array([action(agent) for agent in range(len(simulation.agents))])
@@ -118,7 +120,7 @@ def steps(simulation: Simulation, count: int = 300, action: Callable[[int], int]
         yield simulation.steps
 
 
-def whole_episode(seed: int, count: int = 300, **options: Any) -> tuple[dict[str, np.ndarray], list[Any]]:
+def whole_episode(seed: int, count: int = MAX_STEPS, **options: Any) -> tuple[dict[str, np.ndarray], list[Any]]:
     """Every observation of an episode that Twitchy drives, stacked, and (reward, ended, info) of every step."""
     env, policy = CADEnv(**options), Twitchy()
     observation, info = env.reset(seed=seed)

@@ -29,7 +29,7 @@ CHANGES: list[tuple[str, Any]] = [
     ("penetration", 0.5),
     ("sensor", SensorConfig(noise=2.0)),
     ("sensor", {"miss": 0.5}),
-    ("ranges", {"hazard_share": 1.0, "ego_speed": [8.0, 8.0]}),
+    ("ranges", {"empty_share": 1.0, "ego_speed": [8.0, 8.0]}),
     ("share", lambda graph: None),
 ]
 
@@ -59,7 +59,7 @@ def test_what_is_written_into_config_counts_from_the_next_reset_on(name: str, va
 def test_until_the_reset_the_episode_goes_on_as_it_began():
     env, usual = CADEnv(), CADEnv()
     for each in (env, usual):
-        each.reset(seed=3)
+        each.reset(seed=3, options={"hazard": True})  # whose time is a number
     env.config["radio"] = "none"
     one, other = env.step(GO), usual.step(GO)
     assert one[4] == other[4]

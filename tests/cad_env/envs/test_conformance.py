@@ -22,7 +22,7 @@ import cad_env
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import SCENARIOS
-from cad_env.types import BRAKE, GO, MAX_STEPS
+from cad_env.types import BRAKE, FRAMES, GO, MAX_STEPS, OBSERVED_TRACKS
 
 ID = "CADLeftTurn-v0"
 EVERY_ID = pytest.mark.parametrize("env_id", [scenario.gym_id for scenario in SCENARIOS.values()])
@@ -102,7 +102,7 @@ def test_success_reaches_stable_baselines():
             break
     assert dones[0]
     assert infos[0]["is_success"] is (infos[0]["outcome"] == "success")
-    assert infos[0]["terminal_observation"]["tracks"].shape == (16, 15, 3)
+    assert infos[0]["terminal_observation"]["tracks"].shape == (OBSERVED_TRACKS, FRAMES, 3)
 
 
 def test_the_name_of_the_package_in_the_id_is_enough():

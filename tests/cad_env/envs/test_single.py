@@ -12,7 +12,7 @@ from cad_env import RadioConfig
 from cad_env.envs.single import CADEnv
 from cad_env.rules.expert import Expert
 from cad_env.scoring.rollout import rollout
-from cad_env.types import BRAKE, GO
+from cad_env.types import BRAKE, GO, MAX_STEPS
 
 HAZARDS = range(1_000_000, 1_000_005)
 INFO = {
@@ -52,9 +52,9 @@ def test_arriving_ends_in_success_and_pays_two_in_all(seed: int):
     assert min(rewards) >= 0.0
 
 
-def test_standing_ends_in_a_timeout_after_exactly_300_steps():
+def test_standing_ends_in_a_timeout_after_exactly_max_steps():
     steps, rewards, terminated, truncated, info = last_step(CADEnv(), BRAKE, 0)
-    assert steps == 300
+    assert steps == MAX_STEPS == 400
     assert (terminated, truncated) == (False, True)
     assert (info["outcome"], info["crashed"], info["is_success"]) == ("timeout", False, False)
     assert rewards[-1] == 0.0
@@ -127,7 +127,7 @@ def test_messages_are_lost_at_the_rate_of_the_radio():
     for seed in range(4):
         episode = rollout(env, Steady(BRAKE), seed)
         lost += int(episode.messages_lost.sum())
-        heard += 300 * (len(env.simulation.agents) - 1)
+        heard += MAX_STEPS * (len(env.simulation.agents) - 1)
     assert abs(lost / heard - 0.3) < 5 * math.sqrt(0.3 * 0.7 / heard)
 
 

@@ -9,15 +9,27 @@ from scenes import ARM, EAST, NORTH, WEST, cross, world_of
 from cad_env.envs.single import CADEnv
 from cad_env.rules.expert import Expert
 from cad_env.rules.motion import fit_motion, lane_heading
-from cad_env.rules.planner import Planner, PlannerConfig, contact_ahead, decide, oncoming_stretch, stopping_distance
+from cad_env.rules.planner import (
+    SLOWEST,
+    Planner,
+    PlannerConfig,
+    contact_ahead,
+    decide,
+    is_on_way,
+    not_on_way,
+    oncoming_stretch,
+    seconds_for,
+    stopping_distance,
+)
 from cad_env.scenarios.scene import Placement
 from cad_env.scoring.rollout import rollout
 from cad_env.types import BRAKE, FRAMES, GO, ROUTE_SPACING, STEP
-from cad_env.world.state import SCRIPTED, STANDING, Truth
+from cad_env.world.state import SCRIPTED, STANDING, STREAM, Truth, crashed
+from cad_env.world.step import advance
 
 AHEAD = np.stack([np.arange(60) * ROUTE_SPACING, np.zeros(60)], axis=-1)
 EGO = np.array([10.0, 10.0, 4.8, 1.9])  # speed, wanted speed, length, width
-RULE = PlannerConfig(look_ahead=4.0, ahead=0.7, behind=2.0, margin=0.5).rule
+RULE = PlannerConfig().rule
 
 NOWHERE = (math.inf, math.inf)  # no stretch of the way is in an oncoming lane
 
@@ -41,15 +53,114 @@ def test_nobody_on_the_road_is_a_reason_to_go():
 
 
 def test_it_does_not_slip_in_just_behind_a_passing_vehicle():
-    # Without the extra length behind it the way would be free: it is 13 m past when the ego comes.
-    passing = crossing(0.7)
+    # Without the extra length behind it the way would be free: its rear is 3 m past when the ego comes.
+    passing = crossing(1.1)
     assert not contact_ahead(AHEAD, EGO, passing, False, 4.0, 0.0, 0.0, 0.5)
     assert decide(AHEAD, EGO, passing, NOWHERE, RULE) == BRAKE
+
+
+WAITING = np.array([0.0, 10.0, 4.8, 1.9])  # the ego stands, a few metres before a lane that crosses
+
+
+def test_it_goes_when_the_vehicle_before_has_just_passed_and_the_gap_is_long_enough():
+    # Rear bumper at the side of the ego, which starts from 5 m before the lane.
+    passed = crossing(-0.4, speed=15.0, at=8.4)
+    assert decide(AHEAD, WAITING, passed, NOWHERE, RULE) == GO
+    for headway, wanted in ((2.0, BRAKE), (3.0, BRAKE), (6.0, GO), (8.0, GO)):
+        following = crossing(headway, speed=15.0, at=8.4)
+        assert decide(AHEAD, WAITING, np.concatenate([passed, following]), NOWHERE, RULE) == wanted, headway
+
+
+def test_it_waits_for_a_long_enough_gap_and_takes_it():
+    # A platoon 1.5 s apart, then 8 s nobody: it stands until the last has passed, and is through before the next.
+    times = [2.0, 3.5, 5.0, 6.5, 14.5]
+    stream = [Placement(NORTH, ARM - 15.0 * time, 15.0, 15.0, STREAM) for time in times]
+    world = world_of(Placement(EAST, ARM - 25.0, 8.0, 8.0), *stream)
+    scratch, asked, through = np.zeros(len(world.speed)), [], None
+    for step in range(140):
+        asked.append(Expert().act(Truth(world, cross(), 0)))
+        advance(world, cross(), np.array([0]), np.array([asked[-1]]), scratch)
+        if through is None and world.progress[0] > ARM + 4.0:
+            through = STEP * (step + 1)
+    assert not crashed(world).any()
+    last_brake = STEP * np.flatnonzero(np.array(asked) == BRAKE)[-1]
+    assert last_brake < 6.5 + 0.5
+    assert 6.5 < through < 6.5 + 5.0
 
 
 def test_who_follows_or_leads_in_the_same_stream_is_the_driver_s_business():
     same = np.array([[15.0, 0.0, 0.1, 3.0, 4.8, 1.9], [-8.0, 0.0, 0.0, 20.0, 4.8, 1.9]])
     assert decide(AHEAD, EGO, same, NOWHERE, RULE) == GO
+
+
+@pytest.mark.parametrize("shift", [-90.0, -10.0, 3.0, 60.0, 118.0, 200.0])
+@pytest.mark.parametrize(("beside", "heading", "on"), [
+    (0.0, 0.0, True), (1.6, 0.3, True), (-1.6, -0.6, True),  # in its lane, and heads along it
+    (1.9, 0.0, False), (-3.5, 0.0, False),  # the next lane
+    (0.0, math.pi, False), (0.0, math.pi / 2, False), (0.0, 0.8, False),  # oncoming, crossing, leaving
+])  # fmt: skip
+def test_on_the_way_is_who_is_in_its_lane_or_in_line_with_it_and_heads_along(shift, beside, heading, on):
+    assert is_on_way(AHEAD, shift, beside, heading) is on
+
+
+def test_nobody_is_on_the_way_far_from_its_ends():
+    assert [is_on_way(AHEAD, x, 0.0, 0.0) for x in (-101.0, -99.0, 217.0, 219.0)] == [False, True, True, False]
+
+
+def bend() -> np.ndarray:
+    """A way that goes 20 m on along +x, a quarter of a circle to the left, and on along +y at x = 30."""
+    straight = [(x, 0.0) for x in np.arange(0.0, 20.0, ROUTE_SPACING)]
+    arc = [(20.0 + 10.0 * math.sin(a), 10.0 - 10.0 * math.cos(a)) for a in np.arange(0.0, math.pi / 2, 0.2)]
+    return np.array([*straight, *arc, *((30.0, y) for y in np.arange(10.0, 40.0, ROUTE_SPACING))])
+
+
+def test_on_a_bent_way_its_ends_count_and_not_the_roads_that_they_lead_on():
+    way, up = bend(), math.pi / 2
+    assert is_on_way(way, 30.0, 60.0, up)  # a leader, beyond what is looked at
+    assert is_on_way(way, 27.0, 3.0, math.pi / 4)  # in the turn
+    assert is_on_way(way, -30.0, 0.0, 0.0)  # a follower
+    assert not is_on_way(way, 30.0, -20.0, up)  # it comes up the road into which the ego turns
+    assert not is_on_way(way, 60.0, 0.0, 0.0)  # it went straight on
+
+
+def test_who_merges_into_the_way_is_braked_for_whatever_its_heading():
+    for heading in (0.2, 0.4, 0.6):  # within 40 degrees of the ego's
+        when, speed = 2.0, 8.0
+        at = np.array([20.0, 0.0]) - when * speed * np.array([math.cos(heading), math.sin(heading)])
+        merging = np.array([[*at, heading, speed, 4.8, 1.9]])
+        assert not is_on_way(AHEAD, *merging[0, :3])
+        assert decide(AHEAD, EGO, merging, NOWHERE, RULE) == BRAKE
+        merging[0, 0] -= 60.0  # it comes much later
+        assert decide(AHEAD, EGO, merging, NOWHERE, RULE) == GO
+
+
+def test_who_comes_up_the_road_into_which_the_ego_turns_is_braked_for_and_who_leads_there_is_not():
+    way, up = bend(), math.pi / 2
+    turning = np.array([8.0, 8.0, 4.8, 1.9])
+    ahead, before = ([[30.0, y, up, 9.0, 4.8, 1.9]] for y in (30.0, -28.0))
+    rule = PlannerConfig(clear=25.0).rule  # as far as the merge
+    assert decide(way, turning, np.array(ahead), NOWHERE, rule) == GO
+    assert decide(way, turning, np.array(before), NOWHERE, rule) == BRAKE
+
+
+def test_who_drives_beside_it_is_no_reason_to_brake():
+    beside = np.array([[6.0, 3.5, 0.0, 8.0, 4.8, 1.9], [2.0, -3.5, 0.0, 12.0, 4.8, 1.9]])
+    assert decide(AHEAD, EGO, beside, NOWHERE, RULE) == GO
+
+
+def test_only_those_count_who_move_and_are_not_on_the_way():
+    follower, leader = [-20.0, 0.0, 0.0, 12.0, 4.8, 1.9], [20.0, 0.5, 0.1, 8.0, 4.8, 1.9]
+    stands, crosses = [20.0, 0.0, math.pi / 2, SLOWEST - 0.1, 4.8, 1.9], [20.0, -9.0, math.pi / 2, 9.0, 4.8, 1.9]
+    comes = [60.0, 0.0, math.pi, 9.0, 4.8, 1.9]
+    kept = not_on_way(AHEAD, np.array([follower, leader, crosses, stands, comes]))
+    assert kept.tolist() == [crosses, comes]
+
+
+def test_it_looks_as_far_as_it_would_need_to_stop_and_clear_beyond():
+    later = crossing(5.0, at=45.0)  # it would be met 45 m ahead
+    assert decide(AHEAD, EGO, later, NOWHERE, RULE) == GO
+    assert decide(AHEAD, EGO, later, NOWHERE, PlannerConfig(clear=40.0).rule) == BRAKE
+    assert seconds_for(EGO, stopping_distance(EGO[0]) + RULE.clear) == pytest.approx(2.5)
 
 
 def test_who_stands_across_the_way_does_not_deadlock_it():
@@ -198,7 +309,7 @@ def test_the_same_knowledge_gives_the_same_decision():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("look_ahead", 0.0), ("look_ahead", 31.0), ("ahead", -1.0), ("behind", math.nan), ("margin", "1")],
+    [("clear", -1.0), ("clear", 61.0), ("ahead", -1.0), ("behind", math.nan), ("margin", "1")],
 )
 def test_a_careless_configuration_is_refused(name: str, value: object):
     with pytest.raises(ValueError, match=f"{name} must be a number from .*, got {value!r}"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import BESIDE, EAST, LANE, NORTH, WEST, cross
 
-from cad_env.scenarios.junction import ARM, ARMS, STOP_LINE, TURN_RADIUS
+from cad_env.scenarios.junction import ARM, ARMS, OUT, STOP_LINE, TURN_RADIUS
 from cad_env.scenarios.left_turn import LEFT_TURN
 from cad_env.scenarios.routes import SPACING
 from cad_env.types import Command
@@ -46,7 +46,7 @@ def test_a_left_turn_turns_left_by_a_right_angle_and_says_so(arm: str):
     assert turning[0] == pytest.approx(ARM - STOP_LINE, abs=SPACING)
     assert turning[-1] == pytest.approx(ARM - STOP_LINE + np.pi / 2 * TURN_RADIUS, abs=SPACING)
     assert set(command) == {Command.FOLLOW_LANE, Command.TURN_LEFT}
-    assert np.linalg.norm(points[-1]) == pytest.approx(ARM, abs=2.0)
+    assert np.linalg.norm(points[-1]) == pytest.approx(OUT, abs=2.0)
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -55,7 +55,7 @@ def test_going_through_is_straight_and_says_so_on_the_junction(arm: str):
     assert np.ptp(headings) == 0.0
     on_junction = np.flatnonzero(command == Command.GO_STRAIGHT) * SPACING
     assert (on_junction[0], on_junction[-1]) == pytest.approx((ARM - STOP_LINE, ARM + STOP_LINE), abs=SPACING)
-    assert np.linalg.norm(points[-1] - points[0]) == pytest.approx(2 * ARM, abs=SPACING)
+    assert np.linalg.norm(points[-1] - points[0]) == pytest.approx(ARM + OUT, abs=SPACING)
 
 
 def test_beyond_its_end_a_route_goes_straight_on():
@@ -105,4 +105,4 @@ def test_after_the_junction_a_turn_joins_the_stream_that_it_merges_into():
     along = np.flatnonzero(~np.isnan(placed[:, 0])) * SPACING
     assert along[0] > ARM - STOP_LINE
     assert along[-1] >= ROUTES.length[MAP.route("east_through")] - SPACING
-    assert np.abs(placed[int(300 / SPACING), 1]) == pytest.approx(LANE)
+    assert np.abs(placed[int((ARM + 50.0) / SPACING), 1]) == pytest.approx(LANE)

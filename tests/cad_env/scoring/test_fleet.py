@@ -63,13 +63,14 @@ def test_an_episode_says_what_each_agent_did_and_how_it_ended():
 
 
 def test_everybody_may_be_driven_by_somebody_else():
-    env = parallel_env("CADOvertaking-v0", max_cycles=60)
+    env = parallel_env("CADLeftTurn-v0", max_cycles=60)
     for seed in range(20):
         _, infos = env.reset(seed=seed)
         driving = [name for name, info in infos.items() if not info["waits"] and info["speed"] > 3.0]
         if len(driving) > 1:
             break
     brakes = driving[-1]
+    assert brakes != "cav_0"
     policies = {name: Steady(BRAKE if name == brakes else GO) for name in env.possible_agents}
     by_name = {agent.name: agent for agent in rollout_fleet(env, policies, seed).agents}
     assert by_name[brakes].brakes == len(by_name[brakes].action)

@@ -12,9 +12,9 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.pipeline.radio import NOT_SENT, REACHES, SILENT
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, GO, Graph
-from cad_env.world.state import OFF
+from cad_env.world.state import IDM, OFF
 
-SEED = 7000001  # of overtaking with four collaborators, one of whom soon leaves its road
+SEED = 7000001  # of overtaking with four collaborators, the last of whom drives
 LEAVING = {"scenario": "overtaking", "radio": "ideal", "ranges": {"collaborators": (4, 4)}}
 
 
@@ -34,6 +34,16 @@ def gone(simulation: Simulation) -> list[int]:
     return np.flatnonzero(simulation.world.driver[simulation.agents] == OFF).tolist()
 
 
+def near_its_end(simulation: Simulation) -> Simulation:
+    """The same with the last of the connected vehicles put 40 m before the end of its road."""
+    world, routes, row = simulation.world, simulation.map.routes, simulation.agents[-1]
+    assert world.driver[row] == IDM
+    assert world.speed[row] > 5.0
+    sample = int((routes.length[world.route[row]] - 40.0) / routes.spacing)
+    world.position[row], world.progress[row] = routes.point[world.route[row], sample], sample * routes.spacing
+    return simulation
+
+
 def check_silence(simulation: Simulation) -> int:
     """Those that are gone neither sense nor send nor receive; answers how many they are."""
     fleet, left = simulation.fleet, gone(simulation)
@@ -50,7 +60,7 @@ def check_silence(simulation: Simulation) -> int:
 
 @EVERY_WAY
 def test_the_messages_of_a_step_are_those_of_the_vehicles_on_the_map(way: dict[str, Any]):
-    simulation, seen = started(SEED, **LEAVING, **way), set()
+    simulation, seen = near_its_end(started(SEED, **LEAVING, **way)), set()
     for _ in steps(simulation, 200, action=lambda agent: BRAKE if agent == 0 else GO):
         left, info = check_silence(simulation), simulation.info()
         assert info["messages_sent"] == len(simulation.agents) - left
@@ -63,7 +73,7 @@ def test_the_messages_of_a_step_are_those_of_the_vehicles_on_the_map(way: dict[s
 
 @EVERY_WAY
 def test_nobody_holds_a_newest_node_where_a_vehicle_left(way: dict[str, Any]):
-    simulation, checked = started(SEED, **LEAVING, **way, sensor={"noise": 0.0, "miss": 0.0}), 0
+    simulation, checked = near_its_end(started(SEED, **LEAVING, **way, sensor={"noise": 0.0, "miss": 0.0})), 0
     for _ in steps(simulation, 200, action=lambda agent: BRAKE if agent == 0 else GO):
         for v in gone(simulation):
             place = simulation.world.position[simulation.agents[v]]
@@ -76,7 +86,8 @@ def test_nobody_holds_a_newest_node_where_a_vehicle_left(way: dict[str, Any]):
 
 
 def test_a_message_on_its_way_when_its_sender_leaves_still_arrives_and_none_after_it():
-    simulation, after = started(SEED, **{**LEAVING, "radio": {"delay": 0.3, "loss": 0.0, "range": 1e6}}), {}
+    slow = {**LEAVING, "radio": {"delay": 0.3, "loss": 0.0, "range": 1e6}}
+    simulation, after = near_its_end(started(SEED, **slow)), {}
     for step in steps(simulation, 200, action=lambda agent: BRAKE if agent == 0 else GO):
         for v in gone(simulation):
             after.setdefault(v, step)
@@ -86,7 +97,7 @@ def test_a_message_on_its_way_when_its_sender_leaves_still_arrives_and_none_afte
 
 def test_a_vehicle_that_is_gone_receives_nothing():
     for way in (WAYS["compiled"], WAYS["python"]):
-        simulation, checked = started(SEED, **LEAVING, **way), 0
+        simulation, checked = near_its_end(started(SEED, **LEAVING, **way)), 0
         for _ in steps(simulation, 200, action=lambda agent: BRAKE if agent == 0 else GO):
             for v in gone(simulation):
                 assert simulation.fleet.report.received_bytes[v] == 0
@@ -100,6 +111,8 @@ def test_one_environment_and_many_side_by_side_count_alike(way: dict[str, Any]):
     single, many, fewest = CADEnv(**LEAVING, **way), CADVectorEnv(2, **LEAVING, **way), 5
     single.reset(seed=SEED)
     many.reset(seed=SEED)
+    for simulation in (single.simulation, many.batch.simulations[0]):
+        near_its_end(simulation)
     for _ in range(200):
         seen, *_, info = single.step(BRAKE)
         together, *_, infos = many.step(np.full(2, BRAKE))
@@ -114,8 +127,8 @@ def test_one_environment_and_many_side_by_side_count_alike(way: dict[str, Any]):
 def test_in_a_dense_road_of_connected_vehicles_no_message_comes_from_beyond_it():
     env, left = parallel_env("CADOvertaking-v0", penetration=1.0, traffic="dense"), 0
     env.reset(seed=3)
-    while env.agents and env.simulation.steps < 200:
-        env.step(dict.fromkeys(env.agents, GO))
+    while env.agents:
+        env.step(dict.fromkeys(env.agents, GO) | {"cav_0": BRAKE})
         left += check_silence(env.simulation)
         assert not any(env.agents.count(f"cav_{v}") for v in gone(env.simulation))
     assert left > 100

@@ -10,8 +10,9 @@ from scenes import ARM, BESIDE, EAST, NORTH, WEST, cross, go_on, moments, world_
 
 from cad_env.scenarios.scene import Placement
 from cad_env.types import BRAKE, GO, TRUCK
-from cad_env.world.drivers import MIN_GAP, gap_to_leader, idm_acceleration
-from cad_env.world.state import SCRIPTED, STANDING, crashed
+from cad_env.world.drivers import HARDEST_BRAKING, LOOK_AHEAD, MIN_GAP, gap_to_intruder, gap_to_leader, idm_acceleration
+from cad_env.world.state import IDM, OFF, SCRIPTED, STANDING, STREAM, World, crashed
+from cad_env.world.step import SUBSTEP, substep
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.15, -0.15])
@@ -124,3 +125,130 @@ def test_who_stands_does_not_move():
     before = world.position.copy()
     go_on(world, 2.0, (0,), GO)
     assert (world.position == before).all()
+
+
+# --- Streams: they keep their distances, and brake for who is slower ------------------------------------------
+
+
+def streaming(progress: float, speed: float, attention: float = math.inf, route: int = EAST) -> Placement:
+    return Placement(route, progress, speed, speed, STREAM, attention=attention)
+
+
+def test_a_driver_of_a_stream_keeps_its_pace_however_near_the_vehicle_before_is():
+    world = world_of(streaming(100.0, 15.0), streaming(107.0, 15.0), streaming(114.0, 15.0, 1.0))
+    go_on(world, 10.0)
+    assert world.speed.tolist() == [15.0] * 3
+    assert world.progress == pytest.approx([250.0, 257.0, 264.0])
+    usual = world_of(Placement(EAST, 100.0, 15.0, 15.0), streaming(107.0, 15.0))
+    go_on(usual, 1.0)
+    assert usual.speed[0] < 13.0  # any other driver makes room
+
+
+@given(st.floats(10.0, 20.0), st.floats(1.2, 2.0), st.lists(st.booleans(), min_size=8, max_size=8))
+def test_drivers_of_a_stream_brake_for_a_slower_one_and_never_touch_it(speed, headway, brakes):
+    apart = speed * headway  # front to front, all as long as a car
+    world = world_of(*(streaming(150.0 - k * apart, speed) for k in range(4)))
+    for brake in brakes:
+        go_on(world, 1.0, (0,), BRAKE if brake else GO)
+    assert not crashed(world).any()
+    assert (np.diff(world.progress) < -4.8).all()
+    assert (world.speed[1:] < speed).all() or not brakes[0]
+
+
+def test_the_stream_goes_on_when_the_slower_one_does():
+    world = world_of(streaming(100.0, 12.0), streaming(80.0, 12.0))
+    go_on(world, 2.0, (0,), BRAKE)
+    assert (world.speed < 8.0).all()
+    go_on(world, 20.0, (0,), GO)
+    assert world.speed == pytest.approx([12.0, 12.0], abs=0.3)
+
+
+def test_only_who_has_the_same_route_leads_a_stream():
+    merging = Placement(BESIDE, 130.0, 5.0, 5.0, offset=-2.0)
+    same = Placement(EAST, 140.0, 5.0, 5.0)
+    for driver, gap in ((STREAM, 40.0), (IDM, 30.0)):
+        world = world_of(Placement(EAST, 100.0, 10.0, 10.0, driver), merging, same)
+        assert gap_to_leader(world, cross(), 0) == pytest.approx((gap - 4.8, 5.0))
+
+
+# --- Attention: who is across the way ---------------------------------------------------------------------------
+
+
+def in_the_way(beside: float = 0.0, driver: int = SCRIPTED) -> Placement:
+    """One that stands across the way EAST at the crossing, so many metres to its left."""
+    return Placement(NORTH, ARM + beside, 0.0, 0.0, driver)
+
+
+def first_reaction(world: World, seconds: float = 8.0) -> float:
+    """s until vehicle 0 has begun to brake; inf for never."""
+    speed, scratch = world.speed[0], np.zeros(len(world.speed))
+    for step in range(round(seconds / SUBSTEP)):
+        substep(world, cross(), scratch, SUBSTEP)
+        if world.speed[0] < speed:
+            return step * SUBSTEP  # it has braked since the beginning of this sub-step
+    return math.inf
+
+
+@pytest.mark.parametrize("attention", [0.0, 0.3, 0.6, 1.0, 1.4])
+@pytest.mark.parametrize("driver", [STREAM, IDM])
+def test_an_attentive_driver_reacts_after_its_reaction_time_and_not_before(attention: float, driver: int):
+    vehicle = Placement(EAST, ARM - 60.0, 14.0, 14.0, driver, attention=attention)
+    assert first_reaction(world_of(vehicle, in_the_way())) == pytest.approx(attention, abs=SUBSTEP + 1e-9)
+
+
+def test_without_attention_it_never_does():
+    world = world_of(streaming(ARM - 60.0, 14.0), in_the_way())
+    assert first_reaction(world) == pytest.approx(4.0, abs=0.3)  # when they touch
+    assert crashed(world).all()
+
+
+@given(st.floats(8.0, 20.0), st.floats(0.0, 1.4), st.floats(0.0, 20.0))
+def test_an_attentive_driver_that_has_the_room_stops_before_who_is_across(speed, attention, spare):
+    room = speed * (attention + 1.0) + speed**2 / 10.0 + spare + 4.0  # m from bumper to side
+    world = world_of(streaming(ARM - min(room, LOOK_AHEAD - 1.0) - 3.4, speed, attention), in_the_way())
+    go_on(world, 15.0)
+    assert not crashed(world).any()
+    assert world.speed[0] < 0.5
+
+
+def test_the_time_begins_anew_when_the_way_was_free_again():
+    world = world_of(streaming(ARM - 90.0, 10.0, 1.0), in_the_way())
+    go_on(world, 0.8)
+    assert world.noticed[0] == pytest.approx(0.8)
+    world.position[1, 1] = 20.0
+    go_on(world, 0.1)
+    assert (world.noticed[0], world.speed[0]) == (0.0, 10.0)
+    world.position[1, 1] = 0.0
+    assert first_reaction(world) == pytest.approx(1.0, abs=SUBSTEP + 1e-9)
+
+
+def test_the_intruder_is_the_nearest_of_another_route_in_the_way_and_nobody_else():
+    def gap(*others: Placement) -> tuple[float, float]:
+        return gap_to_intruder(world_of(streaming(ARM - 50.0, 10.0), *others), 0)
+
+    nobody = (math.inf, 0.0)
+    free = 50.0 - 0.5 * 4.8 - 0.5 * 1.9
+    assert gap(in_the_way()) == pytest.approx((free, 0.0))
+    assert gap(Placement(NORTH, ARM, 9.0, 9.0)) == pytest.approx((free, 0.0))  # it does not move along the way
+    assert gap(in_the_way(3.2)) == pytest.approx((free, 0.0))  # its tail is in the way ...
+    assert gap(in_the_way(3.8)) == nobody  # ... and is not
+    assert gap(in_the_way(driver=OFF)) == gap(in_the_way(driver=STANDING)) == nobody
+    assert gap(Placement(EAST, ARM - 20.0, 5.0, 5.0), Placement(BESIDE, ARM - 20.0, 5.0, 5.0)) == nobody
+    merging = Placement(BESIDE, ARM - 20.0, 5.0, 5.0, offset=-2.0)  # half in the lane already
+    assert gap(merging) == pytest.approx((30.0 - 4.8, 5.0))
+    towards = Placement(WEST, ARM - 10.0, 7.0, 7.0)  # a ghost driver, 60 m ahead
+    assert gap(towards) == pytest.approx((60.0 - 4.8, -7.0))
+    assert gap(towards, in_the_way()) == pytest.approx((free, 0.0))
+    behind, far = streaming(ARM + 3.0, 10.0), streaming(ARM - LOOK_AHEAD - 1.0, 10.0)
+    for vehicle in (behind, far):
+        assert gap_to_intruder(world_of(vehicle, in_the_way()), 0) == nobody
+
+
+@given(st.floats(1.0, 20.0), st.floats(-30.0, 90.0), st.floats(0.0, 2.0), st.floats(0.0, 15.0), st.integers(0, 3))
+def test_no_driver_of_a_stream_brakes_harder_or_starts_faster_than_a_car_can(speed, before, attention, pace, route):
+    vehicles = [streaming(ARM - before, speed, attention), streaming(ARM - before - 15.0, speed)]
+    world = world_of(*vehicles, Placement(route, ARM, pace, pace))
+    for _ in moments(world, 6.0):
+        assert (world.acceleration >= -HARDEST_BRAKING - 1e-9).all()
+        assert (world.acceleration <= 2.0 + 1e-9).all()
+        assert (world.speed[:2] <= speed + 1e-9).all()

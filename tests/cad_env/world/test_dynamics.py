@@ -6,15 +6,15 @@ from highway_env.road.road import Road
 from highway_env.vehicle.behavior import ControlledVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
-from cad_env.scenarios.left_turn import LEFT_TURN
-from cad_env.scenarios.scene import Placement, Scene, place
+from cad_env.scenarios.left_turn import LEFT_TURN, LEFT_TURN_LINE
+from cad_env.scenarios.scene import Placement, place
 from cad_env.world.dynamics import place_on_route, wrapped
 from cad_env.world.state import SCRIPTED
 from cad_env.world.step import SUBSTEP, substep
 
 NAMES = [plan.name for plan in LEFT_TURN.plans]
 STRAIGHTS, TURNS = [n for n in NAMES if "through" in n], [n for n in NAMES if "left" in n]
-START = 150.0  # m along the route; the stop line is at 238 m
+START = LEFT_TURN_LINE - 88.0  # m along the route
 
 
 def theirs(name: str, speed: float, kind: type[ControlledVehicle], seconds: float) -> np.ndarray:
@@ -39,7 +39,7 @@ def ours(name: str, speed: float, seconds: float) -> np.ndarray:
     """(n, 2) positions, m, of ours."""
     routes = LEFT_TURN.map.routes
     vehicle = Placement(LEFT_TURN.map.route(name), START, speed, speed, SCRIPTED, length=5.0, width=2.0)
-    world = place(Scene((vehicle,), (0,), False, None, 0, np.inf), routes)
+    world = place([vehicle], routes)
     path, scratch = [], np.zeros(1)
     for _ in range(round(seconds / SUBSTEP)):
         substep(world, routes, scratch, SUBSTEP)
@@ -79,7 +79,7 @@ def test_in_a_turn_it_stays_in_its_lane(name: str):
 def test_it_returns_to_its_lane_after_a_push():
     routes = LEFT_TURN.map.routes
     vehicle = Placement(LEFT_TURN.map.route("south_through"), 50.0, 10.0, 10.0, SCRIPTED, offset=1.0, yaw=0.1)
-    world = place(Scene((vehicle,), (0,), False, None, 0, np.inf), routes)
+    world = place([vehicle], routes)
     for _ in range(200):
         substep(world, routes, np.zeros(1), SUBSTEP)
     _, lateral = place_on_route(routes, int(world.route[0]), *world.position[0], world.progress[0])

@@ -51,7 +51,7 @@ class PlannerConfig:
     ahead: float = 0.5  # s of its travel by which a vehicle is lengthened in front ...
     behind: float = 0.3  # s ... and behind
     margin: float = 0.5  # m around every vehicle
-    gate: float = 25.0  # m beyond its stopping distance, where all of the way through an oncoming lane must be free
+    gate: float = 32.0  # m beyond its stopping distance, where all of the way through an oncoming lane must be free
 
     def __post_init__(self) -> None:
         limits = {

@@ -26,7 +26,7 @@ class LeftTurnRanges(StreamRanges):
     ego_start: Range = span(26.0, 40.0, within=(5.0, 150.0))  # m before its stop line
     stream_speed: Range = span(17.0, 20.0, within=(8.0, 20.0))  # m/s of the hidden stream
     platoon: tuple[int, int] = count(1, 3, within=(1, 30))  # vehicles that come close behind each other
-    headway: Range = span(1.05, 1.2, within=(1.0, 10.0))  # s from one to the next
+    headway: Range = span(0.95, 1.1, within=(0.9, 10.0))  # s from one to the next
     platoon_gap: Range = span(3.1, 4.3, within=(1.0, 60.0))  # s from a platoon to the next
     truck_length: Range = span(8.0, 14.0, within=(4.0, 18.0))  # m
     truck_width: Range = span(2.3, 2.6, within=(1.5, 2.7))  # m
@@ -35,7 +35,7 @@ class LeftTurnRanges(StreamRanges):
 
 
 def actors(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator) -> Actors:
-    """The ego, the truck, two that wait in the west, the first of which sees past it, another truck behind it, the hidden stream."""
+    """The ego, the truck, two that wait in the west, one of which sees past it, a truck behind it, the hidden stream."""
     target = rng.uniform(*ranges.ego_speed)
     start = LEFT_TURN_LINE - rng.uniform(*ranges.ego_start)
     ego = Placement(junction.route("south_left"), start, target * rng.uniform(_SLOW_START, 1.0), target)

@@ -34,7 +34,7 @@ class StreetCrossingRanges(StreamRanges):
     ego_start: Range = span(40.0, 58.0, within=(5.0, 150.0))  # m before its stop line
     stream_speed: Range = span(14.0, 18.5, within=(8.0, 20.0))  # m/s of the vehicles on the hidden approach
     platoon: tuple[int, int] = count(4, 9, within=(1, 30))  # vehicles that come close behind each other
-    headway: Range = span(1.0, 1.15, within=(1.0, 10.0))  # s from one to the next
+    headway: Range = span(0.95, 1.05, within=(0.9, 10.0))  # s from one to the next
     platoon_gap: Range = span(3.6, 5.0, within=(1.0, 60.0))  # s from a platoon to the next
     run_share: Range = span(0.9, 1.0, within=(0.0, 1.0))  # of them that run their red light, drawn per episode
     late_share: float = share(0.5)  # of those that stop at their red light, the share that brakes visibly late

@@ -35,7 +35,7 @@ class LeftTurnRanges(StreamRanges):
 
 
 def actors(junction: Map, ranges: LeftTurnRanges, rng: np.random.Generator) -> Actors:
-    """The ego, the truck, two that wait in the west, one of which sees past it, a truck behind it, the hidden stream."""
+    """The ego, the truck, two that wait in the west, the first of which sees past it; a truck behind; the stream."""
     target = rng.uniform(*ranges.ego_speed)
     start = LEFT_TURN_LINE - rng.uniform(*ranges.ego_start)
     ego = Placement(junction.route("south_left"), start, target * rng.uniform(_SLOW_START, 1.0), target)

@@ -34,7 +34,7 @@ from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
 from cad_env.types import COLLISION, GO, MAX_STEPS, SUCCESS, TIMEOUT, Floats, Ints, Observation
 from cad_env.world.state import Truth
-from cad_env.world.time_to_contact import time_to_contact
+from cad_env.world.time_to_contact import struck_from_behind, time_to_contact
 
 COLLABORATORS = (3, 3)  # a fixed number unless asked otherwise: many multi-agent libraries want fixed agents
 WAITED = "waited"  # the outcome of a vehicle that could only wait, and was not hit
@@ -214,6 +214,7 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
             infos[agent] = {
                 **episode, "waits": self._waits[k],
                 "is_success": outcomes[k] == SUCCESS, "crashed": outcomes[k] == COLLISION,
+                "struck_from_behind": struck_from_behind(simulation.world, int(simulation.agents[k])),
                 "covered": covered[k], "speed": speed[k],
                 "bytes_sent": sent[k], "bytes_received": received[k], "messages_lost": lost[k],
                 "messages_refused": refused[k],

@@ -37,6 +37,7 @@ class Episode:
     min_ttc: float  # s, inf if nothing was on a collision course
     hazard_time: float  # s after the start, when an ego that never brakes would be hit; nan if it would not
     connected: int  # vehicles, the ego included
+    struck_from_behind: bool = False  # the collision was one with a vehicle that followed the ego
 
     @property
     def time(self) -> float:
@@ -209,6 +210,6 @@ class _Log:
         return Episode(
             simulation.scenario.name, method, info["seed"], info["hazard"], info["outcome"],
             self._action[place, :count].copy(), min_ttc=info["min_ttc"], hazard_time=info["hazard_time"],
-            connected=len(simulation.agents),
+            connected=len(simulation.agents), struck_from_behind=info["struck_from_behind"],
             **{name: part[place, :count].copy() for name, part in self._step_info.items()},
         )  # fmt: skip

@@ -30,7 +30,7 @@ class Record:
     Traceback (most recent call last):
     cad_env.checks.ConfigError: an episode's record must have the keys scenario, method, seed, hazard, outcome, time,
     brakes, bytes_per_message_mean, bytes_per_message_max, messages_sent, messages_lost, bytes_total, min_ttc,
-    hazard_time, connected, hardest_brake
+    hazard_time, connected, hardest_brake, struck_from_behind
     """
 
     scenario: str
@@ -49,6 +49,7 @@ class Record:
     hazard_time: float | None  # s after the start, when an ego that never brakes would be hit; None if it would not
     connected: int  # vehicles, the ego included
     hardest_brake: float  # m/s2, the largest mean deceleration of the ego over 0.5 s
+    struck_from_behind: bool = False  # its collision was one with a vehicle that followed it
 
     def __post_init__(self) -> None:
         for name, valid in self._fields_valid().items():
@@ -64,6 +65,7 @@ class Record:
             "seed": type(self.seed) is int and self.seed >= 0,  # of any size
             **{name: is_count(getattr(self, name)) for name in counts},
             "hazard": isinstance(self.hazard, bool),
+            "struck_from_behind": isinstance(self.struck_from_behind, bool),
             "outcome": self.outcome in OUTCOMES,
             "time": _is_amount(self.time),
             "bytes_per_message_mean": self.bytes_per_message_mean is None or _is_amount(self.bytes_per_message_mean),
@@ -119,6 +121,7 @@ def record_of(episode: "Episode") -> Record:
         hazard_time=None if math.isnan(episode.hazard_time) else round(episode.hazard_time, 6),
         connected=episode.connected,
         hardest_brake=round(episode.hardest_brake, 6),
+        struck_from_behind=episode.struck_from_behind,
     )
 
 
@@ -142,6 +145,7 @@ class Scorecard:
     collision_rate: float
     collision_low: float
     collision_high: float
+    struck_from_behind: int  # collisions among them with a vehicle that followed it
     times_lost: int  # episodes with a time lost against the expert; 0 without the expert's episodes
     time_lost: float | None  # s after the expert on the same seed, mean (scoring/time_lost.py)
     time_lost_low: float | None
@@ -224,6 +228,7 @@ def scorecard(kind: str, records: Sequence[Record], expert: Sequence[Record] = (
         collision_rate=collision,
         collision_low=collision_low,
         collision_high=collision_high,
+        struck_from_behind=sum(record.struck_from_behind for record in records),
         times_lost=0 if lost is None else lost.times,
         time_lost=mean_lost[0],
         time_lost_low=mean_lost[1],

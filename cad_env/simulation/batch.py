@@ -106,6 +106,7 @@ class SceneBatch(CopiedWhole):
             "outcome": outcome,
             "is_success": outcome == SUCCESS,
             "min_ttc": step_info.min_ttc,
+            "struck_from_behind": step_info.struck_from_behind > 0,
             "bytes_sent": step_info.bytes_sent,
             "bytes_received": step_info.bytes_received,
             "largest_message": step_info.largest_message,

@@ -23,7 +23,7 @@ from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
 from cad_env.types import COLLISION, COMMANDS, FRAMES, MAX_STEPS, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance
-from cad_env.world.time_to_contact import time_to_contact
+from cad_env.world.time_to_contact import struck_from_behind, time_to_contact
 
 # How it stands for a vehicle, as compiled code knows it, and the reward that comes with it.
 UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3
@@ -39,6 +39,7 @@ class StepInfo(NamedTuple):
     progress: Floats  # m along its route
     speed: Floats  # m/s
     min_ttc: Floats  # s, least time to contact so far
+    struck_from_behind: Ints  # 1 once somebody who follows the ego has hit it
     bytes_sent: Ints  # by all connected vehicles, as what follows
     bytes_received: Ints  # by the ego
     largest_message: Ints  # bytes
@@ -131,7 +132,7 @@ class BatchState(CopiedWhole):
 
 def _no_step_info(scenes: int) -> StepInfo:
     numbers = (np.zeros(scenes) for _ in range(4))
-    return StepInfo(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(7)))
+    return StepInfo(np.zeros(scenes, np.int8), *numbers, *(np.zeros(scenes, np.int64) for _ in range(8)))
 
 
 def _kind() -> Any:
@@ -216,6 +217,7 @@ def write_step_info(scene: SceneState) -> None:
     step_info.reward[0] = (world.progress[0] - step_info.progress[0]) / scene.way + FINAL_REWARDS[outcome]
     step_info.progress[0] = world.progress[0]
     step_info.min_ttc[0] = min(step_info.min_ttc[0], time_to_contact(world, 0))
+    step_info.struck_from_behind[0] = struck_from_behind(world, 0)
     write_radio_info(step_info, air)
 
 

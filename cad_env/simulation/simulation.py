@@ -214,6 +214,7 @@ class Simulation(CopiedWhole):
             "outcome": outcome,
             "is_success": outcome == SUCCESS,
             "min_ttc": self.min_ttc,
+            "struck_from_behind": bool(step_info.struck_from_behind.item()),
             "bytes_sent": step_info.bytes_sent.item(),
             "bytes_received": step_info.bytes_received.item(),
             "largest_message": step_info.largest_message.item(),

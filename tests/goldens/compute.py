@@ -31,7 +31,8 @@ TRAFFIC, RADIOS = ("none", "light", "dense"), ("none", "dsrc", "ideal")
 NETWORKS = ("stgraph", "command", "point_transformer", "compressed")
 # What a step says of itself; a new key of info may be added without a new golden.
 STEP_INFO = (
-    "hazard", "hazard_time", "speed", "outcome", "min_ttc", "bytes_sent", "bytes_received", "largest_message",
+    "hazard", "hazard_time", "speed", "outcome", "min_ttc", "struck_from_behind", "bytes_sent", "bytes_received",
+    "largest_message",
     "messages_sent", "messages_lost", "refused",
 )  # fmt: skip
 SCORED = ("always-go", "planner-own", "planner-shared", "cautious-own", "expert", "stgraph", "stgraph-own")

@@ -103,7 +103,7 @@ def _plot(plot: Plot) -> str:
 
 
 def _table(scenario: str, rows: Sequence[Scorecard], knows: Mapping[str, str]) -> str:
-    titles = (*TITLES[1:], "bytes/s", "min TTC s", "needless brakes %")
+    titles = (*TITLES[1:], "bytes/s", "min TTC s", "hit from behind", "needless brakes %")
     head = "".join(f"<th{_kind(k)}>{escape(title)}</th>" for k, title in enumerate(titles))
     lines = "\n".join(_lines(list(group), knows) for _, group in groupby(rows, lambda row: row.method))
     return (
@@ -122,6 +122,7 @@ def _lines(rows: Sequence[Scorecard], knows: Mapping[str, str]) -> str:
 def _line(name: str, row: Scorecard) -> str:
     more = (
         f"{row.bytes_per_second:.0f}", "-" if row.min_ttc is None else f"{row.min_ttc:.2f}",
+        str(row.struck_from_behind),
         percent(row.needless_brakes, row.needless_low, row.needless_high),
     )  # fmt: skip
     inner = "".join(f"<td{_kind(k)}>{escape(cell)}</td>" for k, cell in enumerate((name, *cells_of(row)[2:], *more)))

@@ -23,11 +23,13 @@ OPTIONS = {"ranges": {"collaborators": (3, 3)}, "traffic": "dense"}
 EPISODE = {"seed": int, "hazard": bool, "hazard_time": float}
 SINGLE = {
     **EPISODE, "speed": float, "crashed": bool, "outcome": object, "is_success": bool, "min_ttc": float,
+    "struck_from_behind": bool,
     "bytes_sent": int, "bytes_received": int, "largest_message": int, "messages_sent": int, "messages_lost": int,
     "messages_refused": int, "refused": object,
 }  # fmt: skip
 PARALLEL = {
     **EPISODE, "waits": bool, "is_success": bool, "crashed": bool, "covered": float, "speed": float,
+    "struck_from_behind": bool,
     "bytes_sent": int, "bytes_received": int, "messages_lost": int, "messages_refused": int,
 }  # fmt: skip
 FIXED = {

@@ -16,7 +16,8 @@ from cad_env.types import BRAKE, GO, MAX_STEPS
 
 HAZARDS = range(1_000_000, 1_000_005)
 INFO = {
-    "seed", "hazard", "speed", "crashed", "outcome", "is_success", "min_ttc", "bytes_sent", "bytes_received",
+    "seed", "hazard", "speed", "crashed", "outcome", "is_success", "min_ttc", "struck_from_behind",
+    "bytes_sent", "bytes_received",
     "largest_message", "messages_sent", "messages_lost", "messages_refused", "refused", "hazard_time",
 }  # fmt: skip
 

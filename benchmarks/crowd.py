@@ -6,7 +6,7 @@ from typing import Any
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.junction import ARM, ARMS
 from cad_env.scenarios.ranges import Traffic
-from cad_env.scenarios.scene import HIDDEN, Placement, Scene
+from cad_env.scenarios.scene import Placement, Scene
 from cad_env.simulation.batch import SceneBatch
 from cad_env.simulation.setup import setup_from
 from cad_env.world.state import STANDING
@@ -17,7 +17,10 @@ KERB = -6.0  # m beside its route, where a car is parked
 
 @dataclass(frozen=True)
 class Crowd:
-    """A left turn in dense traffic, cut or filled up to a number of vehicles, of which the first ones are connected."""
+    """A left turn in dense traffic, cut or filled up to a number of vehicles, of which the first ones are connected.
+
+    Of the hidden stream only that vehicle is there which would hit the ego: the number is of those who matter.
+    """
 
     vehicles: int
     connected: int
@@ -28,10 +31,15 @@ class Crowd:
     def scene(self, ranges: Any, traffic: Traffic, seed: int, hazard: bool | None = None) -> Scene:
         """The scene of a seed."""
         drawn = scenario_named("left_turn").scene(ranges, Traffic("dense"), seed, hazard)
+        kept = [row for row in range(len(drawn.placements)) if row == drawn.hazard_row or row not in drawn.hidden]
         parked = (_parked(number) for number in range(self.vehicles))
-        placements = (*drawn.placements, *parked)[: self.vehicles]
-        rows = [row for row in range(self.vehicles) if row != HIDDEN]
-        return replace(drawn, placements=placements, connected=tuple(rows[: self.connected]))
+        placements = (*(drawn.placements[row] for row in kept), *parked)[: self.vehicles]
+        hidden = tuple(place for place, row in enumerate(kept) if row in drawn.hidden)
+        rows = [row for row in range(self.vehicles) if row not in hidden]
+        return replace(
+            drawn, placements=placements, connected=tuple(rows[: self.connected]), hidden=hidden,
+            hazard_row=hidden[0] if hidden else -1,
+        )  # fmt: skip
 
 
 def _parked(number: int) -> Placement:

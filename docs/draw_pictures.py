@@ -89,14 +89,14 @@ def tells(simulation: Simulation) -> bool:
     """True if the ego is blind to the hazard, another sees it, and the ego knows it only from there."""
     row = simulation.scene.hazard_row
     seen = simulation.fleet.visible[:, row]
-    return bool(not seen[0] and seen[1:].any()) and only_told(simulation, row)
+    return bool(row >= 0 and not seen[0] and seen[1:].any()) and only_told(simulation, row)
 
 
 def cast(simulation: Simulation, canvas: Canvas) -> None:
     """Say who plays what: who hides the hazard, and which connected vehicle sees it."""
     scene, position = simulation.scene, simulation.world.position
     row = scene.hazard_row
-    if simulation.world.driver[row] == OFF:
+    if row < 0 or simulation.world.driver[row] == OFF:
         return
     parts = [(scene.occluder_row, Tag("hides it"))]
     witnesses = [int(r) for r, sees in zip(simulation.agents, simulation.fleet.visible[:, row], strict=True) if sees]

@@ -23,7 +23,7 @@ from numba.core import config as numba_config
 
 _PACKAGE = Path(__file__).parent.parent  # cad_env
 # Rooms above all that is compiled: the import contracts keep compiled code from reading anything there.
-_NOT_COMPILED = ("animation.py", "scoring", "envs", "rendering")
+_NOT_COMPILED = ("animation.py", "envs", "rendering")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

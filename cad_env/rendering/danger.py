@@ -29,9 +29,9 @@ def only_told(simulation: Simulation, row: int) -> bool:
 
 
 def danger(simulation: Simulation, canvas: Canvas) -> None:
-    """Say beside the hidden vehicle, while the ego cannot see it, whether the ego knows of it all the same."""
+    """Say beside the vehicle that would hit the ego, while it cannot see it, whether it knows of it all the same."""
     row, world = simulation.scene.hazard_row, simulation.world
-    if world.driver[row] == OFF or who_sees(simulation)[row] == EGO_SEES:
+    if row < 0 or world.driver[row] == OFF or who_sees(simulation)[row] == EGO_SEES:
         return
     tag = Tag("hidden, and the ego does not know", STOP_COLOUR)
     if only_told(simulation, row):

@@ -7,10 +7,13 @@ import PIL.Image
 import pytest
 from scenes import started
 
-from cad_env.rendering.danger import only_told
+from cad_env.envs.single import CADEnv
+from cad_env.rendering.canvas import Tag
+from cad_env.rendering.danger import danger, only_told
+from cad_env.rendering.viewer import picture
 from cad_env.scenarios import SHIPPED
 from cad_env.types import GO
-from docs.draw_pictures import main, tells, write_drawing
+from docs.draw_pictures import cast, main, tells, write_drawing
 
 IMAGES = Path(__file__).parents[2] / "docs" / "img"
 
@@ -53,6 +56,37 @@ def test_the_telling_moment_is_when_the_ego_is_blind_and_told():
             assert not told.fleet.visible[0, row]
             assert only_told(told, row)
     assert moments > 5
+
+
+@pytest.mark.parametrize("scenario", SHIPPED)
+def test_without_a_hazard_there_is_nothing_to_tell_and_no_word(scenario: str):
+    env = CADEnv(scenario=scenario)
+    env.reset(seed=1_000_023, options={"hazard": False})
+    for _ in range(30):
+        env.step(GO)
+    assert env.simulation.scene.hazard_row == -1
+    assert not tells(env.simulation)
+    assert (picture(env, (cast, danger)) == picture(env)).all()
+    env.close()
+
+
+def test_the_word_is_beside_the_vehicle_that_would_hit_the_ego():
+    env = CADEnv()
+    env.reset(seed=1_000_023, options={"hazard": True})
+    world, row = env.simulation.world, env.simulation.scene.hazard_row
+    assert row in env.simulation.scene.hidden
+    places: list[np.ndarray] = []
+
+    class Noted:
+        def label_beside(self, place: np.ndarray, tag: Tag) -> None:
+            places.append(place.copy())
+            assert place.tolist() == world.position[row].tolist()
+
+    for _ in range(30):
+        env.step(GO)
+        danger(env.simulation, Noted())
+    assert len(places) > 5
+    env.close()
 
 
 def test_the_gallery_in_the_docs_is_there():

@@ -35,7 +35,7 @@ GONE = [True]
 SINGLE = """
 env, unseen = CADEnv(render_mode="human"), CADEnv()
 for each in (env, unseen):
-    each.reset(seed=1)
+    each.reset(seed=1, options={"hazard": True})  # else its time in info is nan, which equals nothing
 assert window() is not None
 close_window()
 assert told(lambda: env.step(0)) == GONE

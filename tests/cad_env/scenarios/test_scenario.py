@@ -283,7 +283,7 @@ def test_the_occluder_is_a_truck_that_stands(scenario: Scenario):
 VIEWS = {"left_turn": (3.0, 0.95, 0.85), "overtaking": (8.0, 0.99, 0.3), "street_crossing": (4.0, 0.99, 0.95)}
 # What each guaranteed witness sees alone: it is in so many seconds at the conflict, share at the least.
 WITNESSES = {
-    "left_turn": {2: (4.0, 0.95), 3: (2.0, 0.9)},
+    "left_turn": {2: (4.0, 0.95)},
     "overtaking": {3: (8.0, 0.8)},
     "street_crossing": {OCCLUDER: (4.0, 0.97), 2: (4.0, 0.97)},
 }

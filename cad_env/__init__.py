@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from cad_env.rules.planner import Planner
     from cad_env.scenarios import register
     from cad_env.scenarios.scenario import Scenario
+    from cad_env.scoring.check_scenario import check_scenario
     from cad_env.scoring.rollout import Episode, rollout, rollouts
     from cad_env.scoring.scorecard import Scorecard, scorecards
     from cad_env.scoring.table import table
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
     "Episode", "Graph", "GraphCodec", "Planner", "Policy", "RadioConfig", "Scenario", "Scorecard", "SensorConfig",
-    "StepOutcome", "TimeLost", "parallel_env", "register", "rollout", "rollouts", "scorecards", "table", "time_lost",
+    "StepOutcome", "TimeLost", "check_scenario", "parallel_env", "register", "rollout", "rollouts", "scorecards", "table", "time_lost",
 ]  # fmt: skip
 __version__ = "0.1.0"
 
@@ -53,6 +54,7 @@ _LAZY = {
     "CADVectorEnv": "cad_env.envs.vector",
     "CloudConfig": "cad_env.lidar.config",
     "DecodeError": "cad_env.pipeline.varint",
+    "check_scenario": "cad_env.scoring.check_scenario",
     "Episode": "cad_env.scoring.rollout",
     "GraphCodec": "cad_env.simulation.graph_exchange",
     "Planner": "cad_env.rules.planner",

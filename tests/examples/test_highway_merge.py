@@ -177,7 +177,7 @@ def test_the_expert_loses_little_time_without_a_hazard():
 
 
 def test_the_rules_of_the_shipped_scenes_are_not_enough_in_a_merge():
-    """They look as far ahead as the ego can stop, which is too short a look for whoever comes from behind so fast."""
+    """They look as far ahead as the ego can stop: too short for whoever comes from behind so fast."""
     ends = outcomes(Expert())
     assert 0.08 * len(SEEDS) < ends["collision"] < 0.25 * len(SEEDS)
 

@@ -276,7 +276,7 @@ def test_the_picture_names_the_command(monkeypatch: pytest.MonkeyPatch):
 
 def test_every_way_in_shows_the_command_of_the_scenario():
     # Always a hazard: Gymnasium's checker compares infos, and without one their `hazard_time` is nan.
-    busy = {"empty_share": 0.0, "platoon": (30, 30), "headway": (1.0, 1.0)}
+    busy = {"empty_share": 0.0, "headway": (1.0, 1.0), "platoon_gap": (1.0, 1.0)}
     for env in (
         gym.make("cad_env:CADScenario-v0", scenario=HIGHWAY_MERGE, ranges=busy),
         gym.make(HIGHWAY_MERGE.gym_id, radio="ideal", ranges=busy),

@@ -9,6 +9,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,10 @@ from cad_env.rendering.framing import SCALING, focus
 from cad_env.rules.expert import Expert
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.registry import outside_sources
-from cad_env.scenarios.scene import EGO, HIDDEN, OCCLUDER, Scene, place
+from cad_env.scenarios.scene import EGO, OCCLUDER, Scene, place
 from cad_env.scoring.rollout import rollout, rollouts
-from cad_env.types import BRAKE, GO, TRUCK, Image
-from cad_env.world.state import OFF, STANDING, Truth, World
+from cad_env.types import BRAKE, GO, MAX_STEPS, STEP, TRUCK, Image
+from cad_env.world.state import OFF, STANDING, STREAM, Truth, World
 from cad_env.world.step import advance, note_contacts
 from policies.command import CommandConfig, CommandNet, CommandPolicy
 from policies.model_folder import load_model
@@ -85,50 +86,64 @@ def drawn(seed: int, hazard: bool | None = None, density: str = "light") -> Scen
 
 def driven(policy: Any, seed: int, hazard: bool | None, density: str = "light", on: bool = False,
            stands: bool = False) -> tuple[str, float, World]:  # fmt: skip
-    """How an episode in which nobody senses ends, after how many s, and its world; `on`: it goes on for 30 s."""
+    """How an episode in which nobody senses ends, after how many s, and its world; `on`: it goes on for 40 s."""
     scene, routes = drawn(seed, hazard, density), HIGHWAY_MERGE.map.routes
-    world, ego, scratch = place(scene, routes), np.array([EGO]), np.zeros(len(scene.placements))
+    world, ego, scratch = place(scene.placements, routes), np.array([EGO]), np.zeros(len(scene.placements))
     if stands:
         world.driver[EGO], world.speed[EGO] = STANDING, 0.0
     policy.reset(seed)
-    for step in range(1, 301):
+    for step in range(1, MAX_STEPS + 1):
         advance(world, routes, ego, np.array([policy.act(Truth(world, routes, EGO))]), scratch)
         if not on and (world.struck[EGO] >= 0 or world.progress[EGO] >= scene.goal):
-            return ("collision" if world.struck[EGO] >= 0 else "success"), 0.1 * step, world
-    return "timeout", 30.0, world
+            return ("collision" if world.struck[EGO] >= 0 else "success"), STEP * step, world
+    return "timeout", STEP * MAX_STEPS, world
 
 
-def outcomes(policy: Any, hazard: bool | None) -> Counter[str]:
+def outcomes(policy: Any, hazard: bool | None = None) -> Counter[str]:
     return Counter(driven(policy, seed, hazard)[0] for seed in SEEDS)
 
 
-def test_the_same_seed_draws_the_same_scene_and_half_of_them_have_a_hazard():
+def test_the_same_seed_draws_the_same_scene_and_a_third_of_them_have_a_hazard():
     scenes = [drawn(seed) for seed in range(300)]
     assert [drawn(seed) for seed in range(30)] == scenes[:30]
-    assert 107 < sum(scene.hazard for scene in scenes) < 193
+    assert 70 < sum(scene.hazard for scene in scenes) < 120
 
 
-def test_forcing_the_hazard_changes_only_the_hidden_vehicle():
-    absent = 0
-    for seed in range(100):
+def test_a_hazard_is_whom_an_ego_that_never_brakes_meets():
+    for seed in SEEDS:
         one, other = drawn(seed, True), drawn(seed, False)
-        assert one.connected == other.connected
-        assert one.placements[:HIDDEN] == other.placements[:HIDDEN]
-        assert one.placements[HIDDEN + 1 :] == other.placements[HIDDEN + 1 :]
-        absent += other.placements[HIDDEN].driver == OFF
-    assert 15 < absent < 50
+        assert one.hazard
+        assert one.hazard_row in one.hidden
+        assert (other.hazard, other.hazard_row) == (False, -1)
+        assert drawn(seed) in (one, other)  # as it is, or drawn again until it is of the kind that is asked for
+
+
+def test_the_stream_comes_in_platoons_that_follow_no_closer_than_its_headway():
+    ranges, right = HIGHWAY_MERGE.configured({}), HIGHWAY_MERGE.map.route("right")
+    waits, empty = [], 0
+    for seed in range(300):
+        scene = drawn(seed)
+        stream = [scene.placements[row] for row in scene.hidden]
+        assert all(car.route == right and car.driver == STREAM for car in stream)
+        waits += [(one.progress - two.progress) / one.speed for one, two in pairwise(stream)]
+        empty += not stream
+    close = np.array(waits) <= ranges.headway[1] + 1e-9
+    assert min(waits) >= ranges.headway[0] - 1e-9
+    assert np.all(close | (np.array(waits) >= ranges.platoon_gap[0] - 1e-9))
+    assert 0.55 < close.mean() < 0.85
+    assert 3 < empty < 30
 
 
 @DENSITY
 def test_nobody_touches_anybody_at_the_start(density: str):
     for seed in SEEDS:
         scene = drawn(seed, density=density)
-        world = place(scene, HIGHWAY_MERGE.map.routes)
+        world = place(scene.placements, HIGHWAY_MERGE.map.routes)
         note_contacts(world)
         assert (world.struck < 0).all()
         assert (scene.placements[OCCLUDER].kind, scene.placements[OCCLUDER].driver) == (TRUCK, STANDING)
-        assert HIDDEN not in scene.connected
-        assert set(scene.connected) & {3, 4}
+        assert not set(scene.hidden) & set(scene.connected)
+        assert set(scene.connected) & {6, 7}
         assert min(each.progress for each in scene.placements) > 1.0
 
 
@@ -144,8 +159,8 @@ def test_traffic_does_not_crash_by_itself(density: str, hazard: bool):
 
 
 def test_never_braking_meets_the_hidden_vehicle_in_a_hazard_and_arrives_without_one():
-    struck = [int(driven(Steady(GO), seed, True)[2].struck[EGO]) for seed in SEEDS]
-    assert struck.count(HIDDEN) > 0.9 * len(SEEDS)
+    for seed in SEEDS:
+        assert driven(Steady(GO), seed, True)[2].struck[EGO] == drawn(seed, True).hazard_row
     assert outcomes(Steady(GO), False) == {"success": len(SEEDS)}
 
 
@@ -156,35 +171,36 @@ def test_the_expert_never_collides_and_arrives(hazard: bool):
     assert ends["success"] >= 0.99 * len(SEEDS)
 
 
-def test_the_expert_loses_no_time_without_a_hazard():
+def test_the_expert_loses_little_time_without_a_hazard():
     lost = [driven(MergeExpert(), seed, False)[1] - driven(Steady(GO), seed, False)[1] for seed in SEEDS[:100]]
-    assert np.mean(lost) < 0.1
+    assert 0.0 <= np.mean(lost) < 2.5
 
 
-def test_the_rules_of_the_shipped_scenes_brake_for_nobody_in_a_merge():
-    assert outcomes(Expert(), True)["collision"] > 0.9 * len(SEEDS)
+def test_the_rules_of_the_shipped_scenes_are_not_enough_in_a_merge():
+    """They look as far ahead as the ego can stop: too short for whoever comes from behind so fast."""
+    ends = outcomes(Expert())
+    assert 0.08 * len(SEEDS) < ends["collision"] < 0.25 * len(SEEDS)
 
 
-@pytest.mark.parametrize(("seconds", "hazards", "calm"), [(0.5, 0.5, 0.0), (1.5, 0.0, 0.1), (2.0, 0.0, 0.15)])
-def test_who_brakes_blindly_misses_one_kind_and_meets_another(seconds: float, hazards: float, calm: float):
-    blind = Blind(round(10 * seconds))
-    assert outcomes(blind, True)["collision"] >= hazards * len(SEEDS)
-    assert outcomes(blind, False)["collision"] >= calm * len(SEEDS)
+@pytest.mark.parametrize("seconds", [0.0, 1.0, 2.0, 4.0, 8.0])
+def test_nobody_passes_it_with_closed_eyes(seconds: float):
+    assert outcomes(Blind(round(10 * seconds)))["collision"] > 0.2 * len(SEEDS)
 
 
 def test_only_others_see_the_hidden_vehicle_while_the_ego_can_still_stop():
     told = []
     for seed in SEEDS[:40]:
         simulation, only_others = started(seed, hazard=True, scenario=NAME), 0
+        row = simulation.scene.hazard_row
         while simulation.world.progress[EGO] < ENTER - 22.0:  # m; 16 m/s takes 25 m to stop, and 22 m away is too late
-            ego, *others = simulation.fleet.visible[:, HIDDEN]
+            ego, *others = simulation.fleet.visible[:, row]
             assert not ego
-            listed = [near(tracked, simulation.world.position[HIDDEN]) for tracked in simulation.object_lists()]
+            listed = [near(tracked, simulation.world.position[row]) for tracked in simulation.object_lists()]
             assert not listed[0]
             only_others += any(others) and any(listed[1:])
             simulation.step(np.zeros(len(simulation.agents), np.int64))
-        told.append(0.1 * only_others)
-    assert min(told) > 1.5  # s
+        told.append(STEP * only_others)
+    assert min(told) > 0.5  # s
     assert np.median(told) > 2.5
 
 
@@ -204,7 +220,7 @@ def test_the_same_rules_crash_on_what_the_ego_sees_and_arrive_on_what_the_connec
     alone = Counter(knowing(seed, slice(0, 1)) for seed in SEEDS[:40])
     together = Counter(knowing(seed, slice(None)) for seed in SEEDS[:40])
     assert alone["collision"] > 20
-    assert together["success"] >= 38
+    assert together["success"] >= 36
 
 
 def near(tracked: Any, position: Any) -> bool:
@@ -259,10 +275,12 @@ def test_the_picture_names_the_command(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_every_way_in_shows_the_command_of_the_scenario():
+    # Always a hazard: Gymnasium's checker compares infos, and without one their `hazard_time` is nan.
+    busy = {"empty_share": 0.0, "headway": (1.0, 1.0), "platoon_gap": (1.0, 1.0)}
     for env in (
-        gym.make("cad_env:CADScenario-v0", scenario=HIGHWAY_MERGE),
-        gym.make(HIGHWAY_MERGE.gym_id, radio="ideal"),
-        gym.make(HIGHWAY_MERGE.gym_id, cloud={}),
+        gym.make("cad_env:CADScenario-v0", scenario=HIGHWAY_MERGE, ranges=busy),
+        gym.make(HIGHWAY_MERGE.gym_id, radio="ideal", ranges=busy),
+        gym.make(HIGHWAY_MERGE.gym_id, cloud={}, ranges=busy),
     ):
         observation, _ = env.reset(seed=1)
         assert env.observation_space.contains(observation)
@@ -359,11 +377,6 @@ def test_every_network_learns_it_for_a_moment_and_drives(spec: str, tmp_path: Pa
     assert model.network.config.commands == 7
     env = CADEnv(scenario=NAME, radio="ideal", **model.environment())
     assert rollout(env, model.policy(), SEEDS[0]).outcome in ("success", "collision", "timeout")
-
-
-def test_a_hazard_that_would_have_to_start_beyond_the_road_is_refused():
-    with pytest.raises(ValueError, match=r"ego_start=\(30.0, 150.0\).*starts more than \d+ m away"):
-        HIGHWAY_MERGE.configured({"ego_start": (30.0, 150.0)})
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Who decides in a merge with the truth: waits before the right lane until there is a gap, and goes into it.
 
-cad_env's own rules leave whoever drives the ego's way to its driver, and so brake for nobody here.
+cad_env's own rules look only as far ahead as the ego can stop, too short for whoever comes from behind so fast.
 """
 
 import math

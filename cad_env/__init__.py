@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BRAKE", "GO", "RADIO_PRESETS", "CADEnv", "CADParallelEnv", "CADVectorEnv", "CloudConfig", "Command", "DecodeError",
     "Episode", "Graph", "GraphCodec", "Planner", "Policy", "RadioConfig", "Scenario", "Scorecard", "SensorConfig",
-    "StepOutcome", "TimeLost", "check_scenario", "parallel_env", "register", "rollout", "rollouts", "scorecards", "table",
-    "time_lost",
+    "StepOutcome", "TimeLost", "check_scenario", "parallel_env", "register", "rollout", "rollouts", "scorecards",
+    "table", "time_lost",
 ]  # fmt: skip
 __version__ = "0.1.0"
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from baselines.cli import parsed, refused, stopped
+from baselines.cli import parsed, refused, say, stopped
 from baselines.controls.names import CHOICE, EVERY_CONTROL, read_choice
 from baselines.evaluation.run import score
 from baselines.evaluation.settings import ALL_SCENARIOS, Settings
@@ -56,17 +56,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         known = read_choice(choosing.out) if choosing.out.exists() else {}
         with tempfile.TemporaryDirectory() as folder:
             rows = [row for row in score(choosing.settings(Path(folder))) if row.hazard == "all"]
-        found = {**known, **choices(rows)}
+        found = {**known, **choice_of(rows)}
         replace_file(choosing.out, (json.dumps(found, indent=1) + "\n").encode())
     except (ValueError, OSError) as error:
         return refused(error)
     except KeyboardInterrupt as error:
         return stopped(error)
-    print(", ".join(f"{scenario}: {found[scenario]['chosen']}" for scenario in dict.fromkeys(r.scenario for r in rows)))
+    say(", ".join(f"{scenario}: {found[scenario]['chosen']}" for scenario in dict.fromkeys(r.scenario for r in rows)))
     return 0
 
 
-def choices(rows: Sequence[Scorecard]) -> dict[str, Any]:
+def choice_of(rows: Sequence[Scorecard]) -> dict[str, Any]:
     """scenario -> what was chosen, and what of; rows of all episodes, the expert's among them or not."""
     found: dict[str, Any] = {}
     for scenario in dict.fromkeys(row.scenario for row in rows):

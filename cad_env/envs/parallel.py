@@ -61,7 +61,7 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
     >>> while env.agents:
     ...     observations, rewards, terminations, truncations, infos = env.step(dict.fromkeys(env.agents, 0))
     >>> env.outcomes
-    {'cav_0': 'success', 'cav_1': 'waited', 'cav_2': 'waited', 'cav_3': 'waited'}
+    {'cav_2': 'success', 'cav_0': 'success', 'cav_1': 'waited', 'cav_3': 'waited'}
     """
 
     metadata = {"name": "cad_v0", "render_modes": list(RENDER_MODES), "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012

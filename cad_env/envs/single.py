@@ -56,7 +56,7 @@ class CADEnv(CopiedWhole, HighwayBase):
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})
     >>> observation["tracks"].shape, info["hazard"]
-    ((16, 15, 3), True)
+    ((24, 15, 3), True)
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012  Gymnasium's own form

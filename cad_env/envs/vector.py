@@ -36,7 +36,7 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
     >>> envs = CADVectorEnv(num_envs=3, radio="dsrc")
     >>> observations, infos = envs.reset(seed=1, options={"hazard": True})
     >>> observations["tracks"].shape, infos["seed"].tolist()
-    ((3, 16, 15, 3), [1, 2, 3])
+    ((3, 24, 15, 3), [1, 2, 3])
     """
 
     metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class Scene:
     connected: tuple[int, ...]
     hazard: bool  # an ego that never brakes would be hit
     hazard_row: int  # by this vehicle; -1 where there is no hazard
-    hazard_time: float = field(compare=False)  # s after the start; nan, which equals nothing, where there is no hazard
+    hazard_time: float  # s after the start; inf where there is no hazard
     occluder_row: int
     goal: float  # m along the ego's route, where it has arrived
     hidden: tuple[int, ...] = ()  # rows of the stream that the occluder hides

@@ -35,7 +35,7 @@ class Episode:
     largest_message: Ints  # (n,) bytes
     messages_lost: Ints  # (n,) on their way to the ego
     min_ttc: float  # s, inf if nothing was on a collision course
-    hazard_time: float  # s after the start, when an ego that never brakes would be hit; nan if it would not
+    hazard_time: float  # s after the start, when an ego that never brakes would be hit; inf if it would not
     connected: int  # vehicles, the ego included
     struck_from_behind: bool = False  # the collision was one with a vehicle that followed the ego
 

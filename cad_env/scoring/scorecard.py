@@ -118,7 +118,7 @@ def record_of(episode: "Episode") -> Record:
         messages_lost=int(episode.messages_lost.sum()),
         bytes_total=int(episode.bytes_sent.sum()),
         min_ttc=round(episode.min_ttc, 6) if episode.min_ttc < math.inf else None,
-        hazard_time=None if math.isnan(episode.hazard_time) else round(episode.hazard_time, 6),
+        hazard_time=None if math.isinf(episode.hazard_time) else round(episode.hazard_time, 6),
         connected=episode.connected,
         hardest_brake=round(episode.hardest_brake, 6),
         struck_from_behind=episode.struck_from_behind,

@@ -199,7 +199,7 @@ class Simulation(CopiedWhole):
     def episode_info(self) -> dict[str, Any]:
         """What info says of a whole episode, the same in every environment.
 
-        `hazard_time`, s after the start: when an ego that never brakes would be hit; NaN if it would not.
+        `hazard_time`, s after the start: when an ego that never brakes would be hit; inf if it would not.
         """
         return {"seed": self.seed, "hazard": self.scene.hazard, "hazard_time": self.scene.hazard_time}
 

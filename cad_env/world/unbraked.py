@@ -11,7 +11,7 @@ from cad_env.world.step import SUBSTEP, SUBSTEPS, substep
 
 
 def who_is_met(world: World, routes: Routes, goal: float, steps: int) -> tuple[int, float]:
-    """(row, time s) of the first contact of row 0, which is never told to brake, on its way to `goal`, m; (-1, nan).
+    """(row, time s) of the first contact of row 0, which is never told to brake, on its way to `goal`, m; (-1, inf).
 
     The world is driven: give a copy. After `steps` decisions (0.1 s each) nothing more is looked at.
     """
@@ -28,4 +28,4 @@ def _rolled_out(world: World, routes: Routes, goal: float, steps: int, scratch: 
             return world.struck[0], STEP * (step + 1)
         if world.progress[0] >= goal:
             break
-    return -1, math.nan
+    return -1, math.inf

@@ -26,7 +26,8 @@ LONG = ["--scenario", "left_turn", "--method", "always-brake", "--episodes", "75
 LINE = (
     '{"scenario": "left_turn", "method": "always-go", "seed": 7, "hazard": true, "outcome": "success", "time": %s, '
     '"brakes": 0, "bytes_per_message_mean": null, "bytes_per_message_max": null, "messages_sent": 0, '
-    '"messages_lost": 0, "bytes_total": 0, "min_ttc": null, "hazard_time": null, "connected": 4, "hardest_brake": 0}'
+    '"messages_lost": 0, "bytes_total": 0, "min_ttc": null, "hazard_time": null, "connected": 4, "hardest_brake": 0,'
+    ' "struck_from_behind": false}'
     "\n"
 )
 
@@ -271,7 +272,7 @@ def test_a_stopped_run_leaves_no_worker_and_goes_on(
     ended, said = stopped_run("evaluate", command, AT_FIRST_EPISODE, how, everywhere, tmp_path)
     assert ended == code
     if how != "SIGKILL":
-        assert last_words(said) == ["stopped after 1 of 75 episodes; run the same command to resume"]
+        assert last_words(said) == ["stopped after 1 of 150 episodes; run the same command to resume"]
     assert len(records(tmp_path / "out")) == 1
     assert run(tmp_path / "out", *LONG) == 0
     assert files(tmp_path / "out") == long_run

@@ -230,7 +230,7 @@ def flags_of_many(envs: gym.vector.VectorEnv, wait: int) -> list[tuple[bool, boo
     ids=["before time is up", "in the last decision", "too late"],
 )
 def test_gymnasium_s_time_limit_changes_nothing(later: int, end: tuple[bool, bool, str]):
-    options = {"traffic": "none", "radio": "none"}
+    options = {"traffic": "none", "radio": "none", "ranges": {"empty_share": 1.0}}
     early = MAX_STEPS // 2
     wait = early + MAX_STEPS - len(flags(CADEnv(**options), early)) + later  # whoever stands starts the same later on
     expected = flags(CADEnv(**options), wait)

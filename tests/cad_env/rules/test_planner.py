@@ -29,7 +29,7 @@ from cad_env.world.step import advance
 
 AHEAD = np.stack([np.arange(60) * ROUTE_SPACING, np.zeros(60)], axis=-1)
 EGO = np.array([10.0, 10.0, 4.8, 1.9])  # speed, wanted speed, length, width
-RULE = PlannerConfig().rule
+RULE = PlannerConfig(ahead=0.7, behind=0.5, gate=5.0).rule
 
 NOWHERE = (math.inf, math.inf)  # no stretch of the way is in an oncoming lane
 
@@ -190,7 +190,7 @@ def test_before_an_oncoming_lane_it_looks_as_far_as_it_needs_to_be_through():
 
 
 def test_it_does_not_wait_before_it_is_at_the_gate():
-    assert decide(AHEAD, EGO, oncoming(120.0), (RULE.gate + 1.0, 60.0), RULE) == GO
+    assert decide(AHEAD, EGO, oncoming(120.0), (stopping_distance(10.0) + RULE.gate + 1.0, 60.0), RULE) == GO
 
 
 def test_too_late_to_wait_only_a_true_contact_counts():

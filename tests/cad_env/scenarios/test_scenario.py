@@ -91,7 +91,7 @@ def test_a_hazard_is_what_an_ego_that_never_brakes_meets(scenario: Scenario):
             assert scene.hazard_row in scene.hidden
         else:
             assert scene.hazard_row == -1
-            assert math.isnan(scene.hazard_time)
+            assert scene.hazard_time == math.inf
     assert kinds == {"success", "collision"}
 
 
@@ -147,7 +147,7 @@ def test_the_stream_has_been_there_before_the_ego_and_lasts_for_the_whole_episod
         times.extend((conflict - vehicle.progress) / vehicle.speed for vehicle in stream)
     counts = np.histogram(times, bins=np.arange(-5.0, 45.0, 5.0))[0]  # from 5 s before the start to the end
     assert len(counts) == 9
-    assert counts == pytest.approx(counts.mean(), rel=0.25)
+    assert counts == pytest.approx(counts.mean(), rel=0.3)
 
 
 @EVERY
@@ -460,7 +460,7 @@ def test_the_ranges_are_used_to_their_ends(scenario: Scenario):
         ({"ranges": {"attentive_share": "half"}}, "attentive_share must be a number from 0 to 1, got 'half'"),
         ({"ranges": {"hazard_share": 0.5}}, "unknown left_turn range hazard_share=0.5: choose among attentive_share, "),
         ({"ranges": {"platoon": (0, 3)}}, "platoon must be a pair (from, to) within [1, 30], got (0, 3)"),
-        ({"ranges": {"headway": (0.5, 2.0)}}, "headway must be a pair (from, to) within [1, 10], got (0.5, 2.0)"),
+        ({"ranges": {"headway": (0.5, 2.0)}}, "headway must be a pair (from, to) within [0.9, 10], got (0.5, 2.0)"),
         ({"ranges": "dense"}, "ranges must be a dict of the scenario's ranges, got 'dense'"),
         ({"traffic": "heavy"}, "traffic must be one of none, light, dense, got 'heavy'"),
         ({"traffic": {"ego_speed": (7, 9)}}, "traffic must be one of none, light, dense, got {'ego_speed': (7, 9)}"),

@@ -11,7 +11,7 @@ from baselines.paper.open_loop import FIRST_SEED
 from baselines.paper.presets import PRESETS
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scoring.rollout import rollouts
-from cad_env.types import BRAKE, GO
+from cad_env.types import BRAKE, GO, MAX_STEPS
 from policies.model_folder import load_model
 from policies.stgraph.network import StGraphConfig
 from policies.stgraph.policy import StGraphPolicy
@@ -35,12 +35,12 @@ def test_an_episode_ends_with_its_last_sight_and_the_next_begins_in_the_same_ste
     scenes.seed(3)
     first = scenes.reset()
     assert scenes.observation_space.contains({name: part[0] for name, part in first.items()})
-    for _ in range(300):
+    for _ in range(MAX_STEPS):
         seen, _, over, infos = scenes.step(np.full(2, BRAKE))
     assert over.all()  # who brakes always runs out of time
     for place, info in enumerate(infos):
         assert info["TimeLimit.truncated"]
-        assert info["episode"]["l"] == 300
+        assert info["episode"]["l"] == MAX_STEPS
         assert not np.array_equal(info["terminal_observation"]["tracks"], seen["tracks"][place])
     assert scenes.scenes.batch.infos(np.ones(2, np.bool_))["seed"].max() < SEEDS
 

@@ -53,7 +53,7 @@ def test_what_is_no_control_is_none() -> None:
     assert not any(map(is_control, (*METHODS, "blind", "slow", "module:blind-1", "notslow-7")))
     with pytest.raises(ValueError, match=r"a control must be named blind-D, stop-D, slow-V, got 'expert'"):
         parsed_control("expert")
-    with pytest.raises(ValueError, match=r"unknown method 'blinde' .*best-blind.*, blind-D, stop-D, slow-V or give"):
+    with pytest.raises(ValueError, match=r"unknown method 'blinde': .*best-blind.*, blind-D, stop-D, slow-V or give"):
         method_named("blinde")
 
 

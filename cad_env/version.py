@@ -9,7 +9,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent
 # All that decides how an episode goes and what is labelled in it. Pictures, tables and the API around it are not.
 EPISODE_CODE = (
-    "config.py", "types.py", "numerics", "world", "scenarios", "pipeline", "lidar", "simulation", "rules",
+    "checks.py", "config.py", "types.py", "numerics", "world", "scenarios", "pipeline", "lidar", "simulation", "rules",
     "scoring/rollout.py", "scoring/fleet.py", "envs/goals.py",
 )  # fmt: skip
 

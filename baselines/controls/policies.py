@@ -1,9 +1,7 @@
 """A control by its name."""
 
 from baselines.controls.names import parsed_control
-from cad_env.rules.blind import BEFORE, Blind, Control, Own, Slow, Stop, conflict_of
-
-__all__ = ["BEFORE", "Blind", "Control", "Own", "Slow", "Stop", "conflict_of", "control"]
+from cad_env.rules.blind import BEFORE, Blind, Control, Slow, Stop, conflict_of
 
 
 def control(name: str, scenario: str) -> Control:

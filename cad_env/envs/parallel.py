@@ -34,7 +34,8 @@ from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation, outcome_of
 from cad_env.types import COLLISION, GO, MAX_STEPS, SUCCESS, TIMEOUT, Floats, Ints, Observation
 from cad_env.world.state import Truth
-from cad_env.world.time_to_contact import struck_from_behind, time_to_contact
+from cad_env.world.step import struck_from_behind
+from cad_env.world.time_to_contact import time_to_contact
 
 COLLABORATORS = (3, 3)  # a fixed number unless asked otherwise: many multi-agent libraries want fixed agents
 WAITED = "waited"  # the outcome of a vehicle that could only wait, and was not hit

@@ -22,12 +22,10 @@ from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.rules.motion import fit_motion, lane_heading
 from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, TRUCK, Floats, Ints, Observation
 from cad_env.world.drivers import COMMANDED_BRAKING, idm_acceleration
-from cad_env.world.geometry import boxes_touch
+from cad_env.world.geometry import ALONG, boxes_touch
 from cad_env.world.state import COMMAND_DELAY
 
 SLOWEST = 1.5  # m/s, below which a vehicle is taken to stand
-CROSSING = math.radians(40)  # rad between a way's heading and a vehicle's, above which it does not drive along it
-ALONG = math.cos(CROSSING)
 HALF_LANE = 1.75  # m beside a way, up to which a vehicle that heads along it is on it
 BEYOND = 100.0  # m before the beginning and past the end of a way, up to which one is on it too
 CAR_SIZE, TRUCK_SIZE = (4.8, 2.0), (12.0, 2.6)  # m, what a track of each class is taken to be

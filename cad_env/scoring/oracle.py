@@ -9,13 +9,12 @@ import math
 import numpy as np
 
 from cad_env.numerics.jit import compiled
+from cad_env.rules.blind import BEFORE
 from cad_env.rules.planner import stopping_distance
 from cad_env.scenarios.scene import EGO, Scene, place
 from cad_env.types import BRAKE, GO, MAX_STEPS, STEP, Floats
 from cad_env.world.state import Routes, World
 from cad_env.world.step import advance
-
-SHORT = 1.0  # m before the conflict, where it waits
 
 
 def best_time(scene: Scene, routes: Routes, conflict: float) -> float:
@@ -25,7 +24,7 @@ def best_time(scene: Scene, routes: Routes, conflict: float) -> float:
     where its body first is in the way of the hidden stream.
     """
     start, best = place(scene.placements, routes), MAX_STEPS + 1
-    for stop in (conflict - SHORT, -math.inf):
+    for stop in (conflict - BEFORE, -math.inf):
         for wait in range(MAX_STEPS):
             if wait >= best:
                 break

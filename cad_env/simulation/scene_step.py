@@ -22,8 +22,8 @@ from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
 from cad_env.types import COLLISION, COMMANDS, FRAMES, MAX_STEPS, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
-from cad_env.world.step import advance
-from cad_env.world.time_to_contact import struck_from_behind, time_to_contact
+from cad_env.world.step import advance, struck_from_behind
+from cad_env.world.time_to_contact import time_to_contact
 
 # How it stands for a vehicle, as compiled code knows it, and the reward that comes with it.
 UNDER_WAY, SUCCEEDED, COLLIDED, TIMED_OUT = 0, 1, 2, 3

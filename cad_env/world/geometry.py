@@ -4,6 +4,9 @@ import math
 
 from cad_env.numerics.jit import compiled
 
+CROSSING = math.radians(40.0)  # rad between two headings, above which one does not go along with the other
+ALONG = math.cos(CROSSING)
+
 
 @compiled
 def boxes_touch(

@@ -1,10 +1,12 @@
 """One decision's worth of world: drivers, motion and contact, at 20 Hz."""
 
+import math
+
 from cad_env.numerics.jit import compiled, inlined
 from cad_env.types import STEP, Floats, Ints
 from cad_env.world.drivers import acceleration_of, drives
 from cad_env.world.dynamics import drive
-from cad_env.world.geometry import boxes_touch
+from cad_env.world.geometry import ALONG, boxes_touch
 from cad_env.world.state import OFF, Routes, World
 
 # At 40 m/s closing speed two cars approach by 2 m a sub-step, less than the length of either: nothing tunnels.
@@ -58,6 +60,20 @@ def note_contacts(world: World) -> None:
                     struck[i] = j
                 if struck[j] < 0:
                     struck[j] = i
+
+
+@compiled
+def struck_from_behind(world: World, i: int) -> bool:
+    """True if the first vehicle that touched vehicle i came from behind it and heads where it does, within 40 degrees.
+
+    It says where the other was, not whose fault it was.
+    """
+    j = world.struck[i]
+    if j < 0:
+        return False
+    cos, sin = math.cos(world.heading[i]), math.sin(world.heading[i])
+    ahead = (world.position[j, 0] - world.position[i, 0]) * cos + (world.position[j, 1] - world.position[i, 1]) * sin
+    return bool(ahead < 0.0 and math.cos(world.heading[j] - world.heading[i]) > ALONG)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""How close it is: the time to contact if everybody keeps speed and heading; and who was hit by a follower."""
+"""How close it is: the time to contact if everybody keeps speed and heading."""
 
 import math
 
@@ -8,7 +8,6 @@ from cad_env.world.state import OFF, World
 
 _HORIZON = 5.0  # s, as nuPlan's time-to-collision metric looks ahead
 RESOLUTION = 0.1  # s
-_FOLLOWS = math.cos(math.radians(40.0))  # between two headings, up to which one vehicle follows the other
 
 
 @compiled
@@ -42,17 +41,3 @@ def time_to_contact(world: World, i: int) -> float:
                 soonest = time
                 break
     return soonest
-
-
-@compiled
-def struck_from_behind(world: World, i: int) -> bool:
-    """True if the first vehicle that touched vehicle i came from behind it and heads where it does, within 40 degrees.
-
-    It says where the other was, not whose fault it was.
-    """
-    j = world.struck[i]
-    if j < 0:
-        return False
-    cos, sin = math.cos(world.heading[i]), math.sin(world.heading[i])
-    ahead = (world.position[j, 0] - world.position[i, 0]) * cos + (world.position[j, 1] - world.position[i, 1]) * sin
-    return bool(ahead < 0.0 and math.cos(world.heading[j] - world.heading[i]) > _FOLLOWS)

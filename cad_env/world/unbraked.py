@@ -7,7 +7,7 @@ import numpy as np
 from cad_env.numerics.jit import compiled
 from cad_env.types import STEP, Floats
 from cad_env.world.state import Routes, World
-from cad_env.world.step import SUBSTEP, SUBSTEPS, substep
+from cad_env.world.step import advance
 
 
 def who_is_met(world: World, routes: Routes, goal: float, steps: int) -> tuple[int, float]:
@@ -21,9 +21,9 @@ def who_is_met(world: World, routes: Routes, goal: float, steps: int) -> tuple[i
 
 @compiled
 def _rolled_out(world: World, routes: Routes, goal: float, steps: int, scratch: Floats) -> tuple[int, float]:
+    nobody = np.zeros(0, np.int64)  # is told anything
     for step in range(steps):
-        for _ in range(SUBSTEPS):
-            substep(world, routes, scratch, SUBSTEP)
+        advance(world, routes, nobody, nobody, scratch)
         if world.struck[0] >= 0:
             return world.struck[0], STEP * (step + 1)
         if world.progress[0] >= goal:

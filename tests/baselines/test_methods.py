@@ -10,7 +10,7 @@ import pytest
 
 from baselines import cli
 from baselines.controls.names import best_control
-from baselines.controls.policies import Control, control
+from baselines.controls.policies import control
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
 from baselines.methods import (
@@ -28,6 +28,7 @@ from baselines.training.command import TrainSettings
 from cad_env.checks import ConfigError
 from cad_env.envs.single import CADEnv
 from cad_env.files import FileError
+from cad_env.rules.blind import Control
 from cad_env.scenarios import SHIPPED
 from cad_env.scoring.rollout import BatchPolicy, rollout
 from cad_env.types import BRAKE, GO, Policy

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cad_env.config import check_range
-from cad_env.rules.planner import CROSSING, SLOWEST, stopping_distance
+from cad_env.rules.planner import SLOWEST, stopping_distance
 from cad_env.simulation.scene_step import Truths
 from cad_env.types import BRAKE, GO, STEP, Bools, Floats, Ints
 from cad_env.world.drivers import COMMANDED_BRAKING, idm_acceleration
+from cad_env.world.geometry import ALONG
 from cad_env.world.state import OFF, Routes, Truth, World
 from cad_highway_merge.road import ENTER, GOAL, LANE, ROUTES
 
@@ -72,7 +73,7 @@ class MergeExpert:
 def _in_right_lane(world: World, row: int) -> Bools:
     """(N,) True for every other vehicle that drives in the right lane."""
     inside = np.abs(world.position[:, 1]) < 0.5 * LANE
-    moving = (world.driver != OFF) & (world.speed > SLOWEST) & (np.cos(world.heading) > math.cos(CROSSING))
+    moving = (world.driver != OFF) & (world.speed > SLOWEST) & (np.cos(world.heading) > ALONG)
     mine = np.arange(len(world.speed)) == row
     found: Bools = inside & moving & ~mine
     return found

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.controls.policies import BEFORE, Blind, Control, Own, Slow, Stop, conflict_of, control
+from baselines.controls.policies import control
 from baselines.methods import Always
 from cad_env.envs.single import CADEnv
+from cad_env.rules.blind import BEFORE, Blind, Control, Own, Slow, Stop, conflict_of
 from cad_env.scenarios import SHIPPED, scenario_named
 from cad_env.scenarios.junction import ARM
 from cad_env.scenarios.ranges import Traffic

@@ -8,7 +8,7 @@ from cad_env.scoring.rollout import rollout
 from cad_env.scoring.scorecard import record_of, scorecards
 from cad_env.types import BRAKE
 from cad_env.world.state import World, empty_world
-from cad_env.world.time_to_contact import struck_from_behind
+from cad_env.world.step import struck_from_behind
 
 
 def two(x: float, y: float, heading: float) -> World:

@@ -123,8 +123,9 @@ class RowVehicle(Vehicle):
         world, routes = self.road.world, self.road.routes
         route, start = int(world.route[self.row]), world.progress[self.row]
         point, heading = _on_route(routes, route, np.concatenate([[start], start + self.speed * np.asarray(times)]))
-        left = np.column_stack([-np.sin(heading), np.cos(heading)])
-        places = point + ((self.position - point[0]) @ left[0]) * left
+        forward, left = (np.column_stack([np.cos(turn), np.sin(turn)]) for turn in (heading, heading + 0.5 * np.pi))
+        away = self.position - point[0]  # also along the route: its progress is exact to some millimetres in a bend
+        places = point + (away @ forward[0]) * forward + (away @ left[0]) * left
         return list(places[1:]), (heading[1:] + (self.heading - heading[0])).tolist()
 
     act = not_served("act()", _MOVED)

@@ -141,7 +141,7 @@ def test_whoever_stands_is_predicted_to_stay():
     assert standing
     for vehicle in standing:
         positions, headings = vehicle.predict_trajectory_constant_speed([0.5, 3.0])
-        np.testing.assert_allclose(positions, [vehicle.position] * 2, atol=0.02)  # queues close up
+        np.testing.assert_allclose(positions, [vehicle.position] * 2, atol=1e-9)
         assert headings == pytest.approx([vehicle.heading] * 2)
 
 

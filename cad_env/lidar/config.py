@@ -88,9 +88,9 @@ def empty_cloud_view(config: CloudConfig, *lead: int) -> CloudView:
     )
 
 
-def space_with(config: CloudConfig | None, commands: int = COMMANDS) -> spaces.Dict:
-    """The space of the ego's observation: that of graphs, and with clouds their two boxes."""
-    boxes = dict(observation_space(commands).spaces)
+def space_with(config: CloudConfig | None, commands: int = COMMANDS, coverage: bool = False) -> spaces.Dict:
+    """The space of the ego's observation: that of graphs, and with clouds or coverage their two boxes."""
+    boxes = dict(observation_space(commands, coverage).spaces)
     if config is not None:
         view = empty_cloud_view(config)
         boxes["cloud"] = spaces.Box(-HORIZON, HORIZON, view.cloud.shape, np.float32)

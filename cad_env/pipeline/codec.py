@@ -10,6 +10,7 @@ A message stands alone; no receiver needs an earlier one. It holds the newest `d
         frames and height                                       two bytes: bit a is set if the track was seen `a`
                                                                 frames before the newest, bit 15 if its height varies
         x, then y, then z                                       each walks from the newest node to the oldest
+    in version 2, which places of which lanes are vouched for   see `intervals`
     CRC-32 of all before                                        four bytes
 
 The first node of a walk is the difference to the first track's newest position, which itself is coded in full: the
@@ -27,6 +28,7 @@ import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part
 from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays, graph_arrays
+from cad_env.pipeline.intervals import FORMAT_LANES, max_places_bytes, put_places, take_places
 from cad_env.pipeline.varint import (
     REACH,
     TRUNCATED,
@@ -47,8 +49,10 @@ from cad_env.pipeline.varint import (
     varies_along,
 )
 from cad_env.types import CAR, FRAMES, MAX_TRACKS, TRUCK, Bytes, Graph, GraphArrays, Ints
+from cad_env.world.lanes import PLACES
 
 VERSION = 1
+WITH_PLACES = 2  # the version of a message that also says what its sender has seen to be empty
 FORMAT_TRACKS = 255  # that the format can count
 MAX_SENDER = 2**16 - 1
 MAX_TIME = 2**32 - 1  # ms
@@ -62,18 +66,19 @@ _START = np.int64(_HEADER)  # of a numpy type: numba compiles a function anew fo
 _VARIES = 15  # the bit of the frames that says that the height is not one
 
 
-def max_bytes(tracks: int) -> int:
-    """No message of so many tracks is longer.
+def max_bytes(tracks: int, lanes: int = 0) -> int:
+    """No message of so many tracks, and places on so many lanes, is longer.
 
     >>> max_bytes(0)
     16
     """
-    return _HEADER + tracks * (VARINT_BYTES + 2 + 3 * FRAMES * VARINT_BYTES) + _CRC
+    places = max_places_bytes(lanes) if lanes else 0
+    return _HEADER + tracks * (VARINT_BYTES + 2 + 3 * FRAMES * VARINT_BYTES) + places + _CRC
 
 
 MAX_BYTES = max_bytes(MAX_TRACKS)
 
-# What `read` answers, and why it refuses. 1 to 3 are the reasons of `codec_bits`.
+# What `read` answers, and why it refuses. 1 to 3 are the reasons of `varint`, those from 11 on of `intervals`.
 DECODED, FORMAT, CORRUPT, CAPACITY, NO_NODE, IDENTITY, SPELLING, TRAILING = 0, 4, 5, 6, 7, 8, 9, 10
 DECODE_REASONS = (
     "accepted",
@@ -87,6 +92,9 @@ DECODE_REASONS = (
     "a track id that is too large or there twice",
     "a constant height that is spelt out",
     "bytes after the last track",
+    "a place beyond the end of its lane",
+    "places on a lane that is not there",
+    "a last lane without a place",
 )
 
 
@@ -97,6 +105,23 @@ def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: GraphArray
     `buffer` must hold MAX_BYTES, or `max_bytes(count)`. Sender, time and ids are the caller's to keep in range
     and unique. A track without a node in those frames is left out.
     """
+    at = _put_graph(buffer, VERSION, sender, time_ms, depth, rows)
+    return -1 if at < 0 else put_fixed(buffer, at, crc32(buffer, at), _CRC)
+
+
+@compiled
+def write_with_places(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: GraphArrays, places: Bytes) -> int:
+    """As `write`, and also the places (B, P) that are vouched for; `buffer` must hold `max_bytes(MAX_TRACKS, B)`."""
+    at = _put_graph(buffer, WITH_PLACES, sender, time_ms, depth, rows)
+    if at < 0:
+        return -1
+    at = put_places(buffer, at, places)
+    return put_fixed(buffer, at, crc32(buffer, at), _CRC)
+
+
+@compiled_part
+def _put_graph(buffer: Bytes, version: int, sender: int, time_ms: int, depth: int, rows: GraphArrays) -> int:
+    """All but what comes after the tracks; answers where that goes, or -1."""
     at, tracks = _HEADER, 0
     origin = np.zeros(3, np.int64)
     for row in range(rows.used[0]):
@@ -115,10 +140,10 @@ def write(buffer: Bytes, sender: int, time_ms: int, depth: int, rows: GraphArray
             if tracks == 0:
                 origin[axis] = to_units(rows.position[row, newest, axis])
         tracks += 1
-    put_fixed(buffer, 0, _MAGIC | VERSION << 16 | depth << 24, 4)
+    put_fixed(buffer, 0, _MAGIC | version << 16 | depth << 24, 4)
     put_fixed(buffer, 4, _RESOLUTION | tracks << 8 | sender << 16, 4)
     put_fixed(buffer, 8, time_ms, 4)
-    return put_fixed(buffer, at, crc32(buffer, at), _CRC)
+    return at
 
 
 @compiled
@@ -128,30 +153,58 @@ def read(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> int:
     Any other answer is an index of DECODE_REASONS and leaves no row in use. Absent nodes get position 0.
     """
     rows.used[0] = 0
-    status = _check_envelope(buffer, length)
+    status = _check_envelope(buffer, length, VERSION)
     if status != DECODED:
         return status
+    at = _take_graph(buffer, length, header, rows)
+    return -at if at < 0 else _end(rows, int(buffer[5]), at, length)
+
+
+@compiled
+def read_with_places(buffer: Bytes, length: int, header: Ints, rows: GraphArrays, places: Bytes) -> int:
+    """As `read`, of both versions, with the places (B, P) that are vouched for: none by the first version."""
+    rows.used[0] = 0
+    places[:] = 0
+    status = _check_envelope(buffer, length, WITH_PLACES)
+    if status != DECODED:
+        return status
+    at = _take_graph(buffer, length, header, rows)
+    if at >= 0 and buffer[2] == WITH_PLACES:
+        at = take_places(buffer, at, length - _CRC, places)
+    return -at if at < 0 else _end(rows, int(buffer[5]), at, length)
+
+
+@compiled_part
+def _take_graph(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> int:
+    """Read header and tracks; answers where the tracks end, or the negative of the reason."""
     tracks = int(buffer[5])
     if tracks > rows.track.shape[0]:
-        return CAPACITY
+        return -CAPACITY
     header[0], header[1], header[2] = take_fixed(buffer, 6, 2), take_fixed(buffer, 8, 4), int(buffer[3])
     at, end = _START, length - _CRC
     origin = np.zeros(3, np.int64)
     for row in range(tracks):
         at = _take_track(buffer, at, end, rows, row, header[2], origin)
         if at < 0:
-            return -at
-    if at != end:
+            return at
+    return at
+
+
+@compiled_part
+def _end(rows: GraphArrays, tracks: int, at: int, length: int) -> int:
+    """Put the rows in use if the message ends where it should."""
+    if at != length - _CRC:
         return TRAILING
     rows.used[0] = tracks
     return DECODED
 
 
 @compiled_part
-def _check_envelope(buffer: Bytes, length: int) -> int:
+def _check_envelope(buffer: Bytes, length: int, newest: int) -> int:
+    """DECODED for a message of a version up to `newest` that is whole, or why it is none."""
     if length < _HEADER + _CRC or length > buffer.shape[0]:
         return TRUNCATED
-    known = take_fixed(buffer, 0, 2) == _MAGIC and buffer[2] == VERSION and buffer[4] == _RESOLUTION
+    known = take_fixed(buffer, 0, 2) == _MAGIC and VERSION <= buffer[2] <= newest and buffer[4] == _RESOLUTION
     if not known or not 1 <= buffer[3] <= FRAMES:
         return FORMAT
     if crc32(buffer, length - _CRC) != take_fixed(buffer, length - _CRC, _CRC):
@@ -188,32 +241,53 @@ def _take_track(buffer: Bytes, at: int, end: int, rows: GraphArrays, row: int, d
     return at
 
 
-def encode(graph: Graph, depth: int = FRAMES) -> bytes:
+def encode(graph: Graph, depth: int = FRAMES, places: Bytes | None = None) -> bytes:
     """The newest `depth` frames of a graph as a message; ValueError where the graph is not one that can be sent.
+
+    places (B, P): those that the sender has seen to be empty, in a message of version 2; None: version 1.
 
     >>> still = np.zeros((1, FRAMES, 3))
     >>> graph = Graph(7, 1.5, np.array([0]), still, np.ones((1, FRAMES), bool), np.array([CAR], np.int8))
     >>> len(encode(graph)), len(encode(graph, depth=1)), decode(encode(graph)).time
     (50, 22, 1.5)
+    >>> len(encode(graph, places=np.zeros((8, PLACES), np.uint8)))
+    51
     """
     check_graph(graph, depth)
-    buffer = np.empty(max_bytes(len(graph.track)), np.uint8)
-    length = write(buffer, graph.sender, round(graph.time * 1000.0), depth, graph_arrays(graph))
-    return buffer[:length].tobytes()
+    rows, time_ms = graph_arrays(graph), round(graph.time * 1000.0)
+    if places is None:
+        buffer = np.empty(max_bytes(len(graph.track)), np.uint8)
+        return buffer[: write(buffer, graph.sender, time_ms, depth, rows)].tobytes()
+    chosen = _checked_places(places)
+    buffer = np.empty(max_bytes(len(graph.track), len(chosen)), np.uint8)
+    return buffer[: write_with_places(buffer, graph.sender, time_ms, depth, rows, chosen)].tobytes()
 
 
 def decode(payload: bytes) -> Graph:
-    """The graph of a message; DecodeError for any bytes that `encode` does not write."""
-    if len(payload) > max_bytes(FORMAT_TRACKS):
-        raise DecodeError(
-            f"message of {len(payload)} bytes refused: no graph takes more than {max_bytes(FORMAT_TRACKS)}"
-        )
+    """The graph of a message of any version; DecodeError for any bytes that `encode` does not write."""
+    return decode_with_places(payload)[0]
+
+
+def decode_with_places(payload: bytes) -> tuple[Graph, Bytes | None]:
+    """The graph of a message, and the places (FORMAT_LANES, P) that its sender vouches for; None in version 1."""
+    longest = max_bytes(FORMAT_TRACKS, FORMAT_LANES)
+    if len(payload) > longest:
+        raise DecodeError(f"message of {len(payload)} bytes refused: no graph takes more than {longest}")
     buffer, header = np.array(bytearray(payload), np.uint8), np.zeros(3, np.int64)
-    rows = empty_graph_arrays(rows=FORMAT_TRACKS)
-    status = read(buffer, len(payload), header, rows)
+    rows, places = empty_graph_arrays(rows=FORMAT_TRACKS), np.zeros((FORMAT_LANES, PLACES), np.uint8)
+    status = read_with_places(buffer, len(payload), header, rows, places)
     if status != DECODED:
         raise DecodeError(f"message of {len(payload)} bytes refused: {DECODE_REASONS[status]}")
-    return as_graph(rows, int(header[0]), int(header[1]) / 1000.0)
+    graph = as_graph(rows, int(header[0]), int(header[1]) / 1000.0)
+    return graph, places if payload[2] == WITH_PLACES else None
+
+
+def _checked_places(places: Bytes) -> Bytes:
+    """(B, P) as bytes; ValueError for what is not a set of places that can be sent."""
+    chosen = np.ascontiguousarray(places, np.uint8)
+    if chosen.ndim != 2 or chosen.shape[1] != PLACES or len(chosen) > FORMAT_LANES:
+        raise ValueError(f"places must be (B, {PLACES}) of at most {FORMAT_LANES} lanes, got {chosen.shape}")
+    return chosen
 
 
 def check_graph(graph: Graph, depth: int = FRAMES) -> None:

@@ -6,11 +6,14 @@ import numpy as np
 
 from cad_env.numerics.jit import inlined_part
 from cad_env.pipeline.codec import DECODED as READ
-from cad_env.pipeline.codec import MAX_BYTES, read, write
+from cad_env.pipeline.codec import max_bytes, read, read_with_places, write, write_with_places
+from cad_env.pipeline.coverage import Coverage, look, new_coverage, outer_corners, vouch
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
+from cad_env.pipeline.hidden import Hidden, grow, hidden_at, new_hidden, note_known, take_out
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks, view_at
+from cad_env.pipeline.observe_lanes import LaneView, empty_lane_view, lane_view_at, observe_lanes
 from cad_env.pipeline.radio import (
     ACCEPTED,
     LOST,
@@ -29,6 +32,7 @@ from cad_env.pipeline.radio import (
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
 from cad_env.types import FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, Bools, Bytes, Floats, GraphArrays, Ints
+from cad_env.world.lanes import PLACES, Lanes, empty_lanes
 from cad_env.world.state import OFF, Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
@@ -66,6 +70,9 @@ class Fleet(NamedTuple):
     kept: GraphArrays  # (R, V, ...) what each receiver holds of each sender
     merged: GraphArrays  # (R, ...)
     views: View  # (R, ...)
+    coverage: Coverage  # (V, ...) what each sees to be empty; of no lanes where none is shared
+    hidden: Hidden  # (R, ...) where each must reckon with a vehicle that nobody has reported
+    lane_views: LaneView  # (R, ...)
     air: Air
     injected: Injected
     visible: Bools  # (V, N) who had a line of sight to whom; never leaves the simulation
@@ -77,12 +84,16 @@ class Fleet(NamedTuple):
     near: Ints  # scratch: (N,)
     detection: Floats  # scratch: (MAX_TRACKS, 3)
     detected_kind: Ints  # scratch: (MAX_TRACKS,)
-    buffer: Bytes  # scratch: (MAX_BYTES,)
+    buffer: Bytes  # scratch: for the longest message
+    places: Bytes  # scratch: (B, P) of the message being read
 
 
-def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
-    """A fleet that has seen nothing yet."""
-    count = len(rows)
+def new_fleet(
+    rows: Ints, vehicles: int, receivers: int, link: Link, lanes: Lanes | None = None, miss: float = 0.0
+) -> Fleet:
+    """A fleet that has seen nothing yet; it shares coverage of `lanes`, if any are given, at this rate of misses."""
+    count, known = len(rows), empty_lanes() if lanes is None else lanes
+    longest = max_bytes(MAX_TRACKS, len(known.start))
     return Fleet(
         rows=rows,
         trail=np.zeros((count, FRAMES, 3)),
@@ -91,7 +102,10 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
         kept=empty_graph_arrays(receivers, count),
         merged=empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS),
         views=empty_view(receivers),
-        air=empty_air(count, link, MAX_BYTES),
+        coverage=new_coverage(count, vehicles, known, miss),
+        hidden=new_hidden(receivers, known),
+        lane_views=empty_lane_view(receivers),
+        air=empty_air(count, link, longest),
         injected=nothing_injected(count, 0),
         visible=np.zeros((count, vehicles), np.bool_),
         report=Report(
@@ -108,7 +122,8 @@ def new_fleet(rows: Ints, vehicles: int, receivers: int, link: Link) -> Fleet:
         near=np.zeros(vehicles, np.int64),
         detection=np.zeros((MAX_TRACKS, 3)),
         detected_kind=np.zeros(MAX_TRACKS, np.int8),
-        buffer=np.zeros(MAX_BYTES, np.uint8),
+        buffer=np.zeros(longest, np.uint8),
+        places=np.zeros((len(known.start), PLACES), np.uint8),
     )
 
 
@@ -118,26 +133,37 @@ def nothing_injected(vehicles: int, capacity: int) -> Injected:
 
 
 @inlined_part
-def run(world: World, routes: Routes, fleet: Fleet, sensor: Sensing, link: Link, depth: int, keys: Ints,
+def run(world: World, routes: Routes, lanes: Lanes, fleet: Fleet, sensor: Sensing, link: Link, depth: int, keys: Ints,
         step: int) -> None:  # fmt: skip
     """Sense, track, graph, encode and send for every vehicle; then deliver, merge and observe for every receiver."""
     outline(world, fleet.outlines)
+    outer_corners(world, fleet.outlines, fleet.coverage.corner)
     for v in range(fleet.rows.shape[0]):
         if is_gone(world, fleet, v):
             fall_silent(fleet, v)
         else:
             perceive(world, fleet, v, sensor, keys[SENSE], step)
+            if shares_coverage(fleet) and (link.budget > 0.0 or v < fleet.merged.used.shape[0]):
+                cover(world, lanes, fleet, v, sensor)
             broadcast(world, fleet, v, link, depth, step)
-    deliver(world, fleet, link, keys[RADIO], step)
-    merge_all(world, routes, fleet)
+    deliver(world, lanes, fleet, link, keys[RADIO], step)
+    merge_all(world, routes, lanes, fleet, step)
 
 
 @inlined_part
-def merge_all(world: World, routes: Routes, fleet: Fleet) -> None:
+def merge_all(world: World, routes: Routes, lanes: Lanes, fleet: Fleet, step: int) -> None:
     """Merge and observe for every receiver."""
     for r in range(fleet.merged.used.shape[0]):
         fuse(fleet, r)
         show(world, routes, fleet, r)
+        if shares_coverage(fleet):
+            show_lanes(world, routes, lanes, fleet, r, step)
+
+
+@inlined_part
+def shares_coverage(fleet: Fleet) -> bool:
+    """Whether messages say what was seen to be empty."""
+    return bool(fleet.places.shape[0] > 0)
 
 
 @inlined_part
@@ -152,6 +178,7 @@ def fall_silent(fleet: Fleet, v: int) -> None:
     slide(_rows_at(fleet.window, v))
     for row in range(fleet.visible.shape[1]):
         fleet.visible[v, row] = False
+    fleet.coverage.vouched[v] = 0
     fleet.report.refusal[v], fleet.report.sent_bytes[v] = SILENT, 0
     fleet.injected.length[v] = OWN
 
@@ -183,17 +210,33 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
 
 
 @inlined_part
+def cover(world: World, lanes: Lanes, fleet: Fleet, v: int, sensor: Sensing) -> None:
+    """One frame of what one vehicle sees to be empty, after it has perceived what is there."""
+    coverage, pose = fleet.coverage, fleet.trail[v, FRAMES - 1]
+    look(world, fleet.outlines, lanes, fleet.rows[v], sensor, pose, coverage.seen[v], coverage.corner, fleet.near)
+    vouch(lanes, _tracks_at(fleet.tracks, v), pose, coverage.seen[v], coverage.vouched[v])
+
+
+@inlined_part
 def broadcast(world: World, fleet: Fleet, v: int, link: Link, depth: int, step: int) -> None:
     """Write one vehicle's graph as bytes and hand them to the radio."""
     size = _take_injected(fleet, v)
     if size == OWN:
         size = 0
         if link.budget > 0.0:  # a radio without a budget refuses whatever is written: spare the writing
-            size = write(fleet.buffer, v, STEP_MS * step, depth, _rows_at(fleet.window, v))
+            size = _write_to(fleet, v, STEP_MS * step, depth)
     place = world.position[fleet.rows[v]]
     reason = send(fleet.air, link, step, v, fleet.buffer, size, place[0], place[1])
     fleet.report.refusal[v] = reason
     fleet.report.sent_bytes[v] = size if reason == ACCEPTED else 0
+
+
+@inlined_part
+def _write_to(fleet: Fleet, v: int, time_ms: int, depth: int) -> int:
+    window = _rows_at(fleet.window, v)
+    if shares_coverage(fleet):
+        return write_with_places(fleet.buffer, v, time_ms, depth, window, fleet.coverage.vouched[v])
+    return write(fleet.buffer, v, time_ms, depth, window)
 
 
 @inlined_part
@@ -207,7 +250,7 @@ def _take_injected(fleet: Fleet, v: int) -> int:
 
 
 @inlined_part
-def deliver(world: World, fleet: Fleet, link: Link, key: Ints, step: int) -> None:
+def deliver(world: World, lanes: Lanes, fleet: Fleet, link: Link, key: Ints, step: int) -> None:
     """Give what arrives to every receiver that it reaches; a message is parsed once, if it reaches any."""
     report = fleet.report
     receivers = fleet.merged.used.shape[0]
@@ -215,6 +258,9 @@ def deliver(world: World, fleet: Fleet, link: Link, key: Ints, step: int) -> Non
         report.received_bytes[r] = report.lost[r] = report.messages_refused[r] = 0
         for v in range(fleet.rows.shape[0]):
             slide(_kept_at(fleet.kept, r, v))
+        if shares_coverage(fleet):
+            grow(hidden_at(fleet.hidden, r), lanes, world.route[fleet.rows[r]])
+            _take_out(world, lanes, fleet, r, fleet.coverage.vouched[r], step, 0)
     for v in range(fleet.rows.shape[0]):
         length = UNREAD
         for r in range(receivers):
@@ -229,15 +275,29 @@ def deliver(world: World, fleet: Fleet, link: Link, key: Ints, step: int) -> Non
                 continue
             report.received_bytes[r] += length
             receive(_kept_at(fleet.kept, r, v), fleet.message, fleet.header[2], link.delay)
+            if shares_coverage(fleet):
+                _take_out(world, lanes, fleet, r, fleet.places, step, link.delay)
+
+
+@inlined_part
+def _take_out(world: World, lanes: Lanes, fleet: Fleet, r: int, places: Bytes, step: int, age: int) -> None:
+    take_out(hidden_at(fleet.hidden, r), lanes, world.route[fleet.rows[r]], places, step, age)
 
 
 @inlined_part
 def _read_from(fleet: Fleet, link: Link, v: int, step: int) -> int:
     """Read the message that arrives from vehicle v; answers its length, or REFUSED if any of it is not acceptable."""
     length = fetch(fleet.air, link, step, v, fleet.buffer)
-    if read(fleet.buffer, length, fleet.header, fleet.message) != READ:
+    if _read_message(fleet, length) != READ:
         return REFUSED
     return length if is_as_sent(fleet.header[0], fleet.header[1], v, step - link.delay) else REFUSED
+
+
+@inlined_part
+def _read_message(fleet: Fleet, length: int) -> int:
+    if shares_coverage(fleet):
+        return read_with_places(fleet.buffer, length, fleet.header, fleet.message, fleet.places)
+    return read(fleet.buffer, length, fleet.header, fleet.message)
 
 
 @inlined_part
@@ -260,6 +320,17 @@ def show(world: World, routes: Routes, fleet: Fleet, r: int) -> None:
     observe_ego(
         view, trail, routes, world.route[row], world.progress[row], world.speed[row],
         world.target_speed[row], world.size[row, 0], world.size[row, 1],
+    )  # fmt: skip
+
+
+@inlined_part
+def show_lanes(world: World, routes: Routes, lanes: Lanes, fleet: Fleet, r: int, step: int) -> None:
+    """Fill receiver r's view of the lanes that its way meets."""
+    row, hidden = fleet.rows[r], hidden_at(fleet.hidden, r)
+    note_known(hidden, lanes, world.route[row], _rows_at(fleet.merged, r))
+    observe_lanes(
+        lane_view_at(fleet.lane_views, r), hidden, lanes, routes, world.route[row], world.progress[row],
+        world.size[row, 0], fleet.trail[r], step,
     )  # fmt: skip
 
 

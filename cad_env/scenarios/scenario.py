@@ -10,10 +10,12 @@ from highway_env.road.road import RoadNetwork
 
 from cad_env.config import check_names
 from cad_env.numerics.philox import generator
+from cad_env.scenarios.lanes import lanes_of
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
 from cad_env.scenarios.scene import OCCLUDER, Actors, Placement, Scene, connected_rows, place, rows_at_penetration
 from cad_env.types import COMMANDS, MAX_STEPS, MOST_COMMANDS, Command, Policy
+from cad_env.world.lanes import Lanes
 from cad_env.world.state import Routes
 from cad_env.world.unbraked import who_is_met
 
@@ -29,6 +31,11 @@ class Map:
     routes: Routes
     plans: tuple[RoutePlan, ...]
 
+    @property
+    def lanes(self) -> Lanes:
+        """Its routes in places, and where they conflict."""
+        return _lanes(self)
+
     def route(self, name: str) -> int:
         """The row of the route called `name`."""
         return next(r for r, plan in enumerate(self.plans) if plan.name == name)
@@ -36,6 +43,11 @@ class Map:
     def crossing(self, a: int, b: int) -> tuple[float, float]:
         """(m along route a, m along route b) to where the two cross."""
         return _crossing(self, a, b)
+
+
+@cache
+def _lanes(built: Map) -> Lanes:
+    return lanes_of(built.routes)
 
 
 @cache

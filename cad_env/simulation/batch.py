@@ -25,7 +25,7 @@ class SceneBatch(CopiedWhole):
     def __init__(self, setups: Sequence[Setup]) -> None:
         commands = commands_of(setup.scenario for setup in setups)
         # For compiled loops of one's own: `cad_env.simulation.scene_step.scene_at`.
-        self.batch_state = BatchState(len(setups), _one_cloud(setups), commands)
+        self.batch_state = BatchState(len(setups), _one_cloud(setups), commands, _one_coverage(setups))
         self.simulations = [Simulation(setup, self.batch_state, place) for place, setup in enumerate(setups)]
         self._episodes: dict[str, NDArray[Any]] = {}  # name -> (S,) what info says of whole episodes
         self.observations = self._shown()
@@ -34,6 +34,8 @@ class SceneBatch(CopiedWhole):
         """The ego's part of the stacked views: (S, ...) arrays that every step fills anew."""
         views, clouds = self.batch_state.views, self.batch_state.clouds
         shown = {name: part[:, 0] for name, part in zip(views._fields, views, strict=True)}
+        if self.batch_state.coverage:
+            shown.update({name: part[:, 0] for name, part in self.batch_state.lane_views._asdict().items()})
         return shown if clouds is None else {**shown, **clouds._asdict()}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -132,6 +134,13 @@ def _one_cloud(setups: Sequence[Setup]) -> CloudConfig | None:
     if len(shapes) > 1:
         raise ValueError(f"scenes side by side must all share graphs or clouds of one shape, got {shapes}")
     return clouds[0] if clouds else None
+
+
+def _one_coverage(setups: Sequence[Setup]) -> bool:
+    """Whether all the scenes share coverage; ValueError if some do and some do not."""
+    if len({setup.coverage for setup in setups}) > 1:
+        raise ValueError("scenes side by side must all share coverage or none, as it is a part of the observation")
+    return bool(setups) and setups[0].coverage
 
 
 def masked(values: dict[str, NDArray[Any]], which: Bools) -> dict[str, Any]:

@@ -17,10 +17,12 @@ from cad_env.lidar.config import CloudConfig, CloudView, empty_cloud_view
 from cad_env.numerics.jit import compiled, inlined, inlined_part
 from cad_env.numerics.record_array import CopiedWhole, new_record_array, put, take
 from cad_env.pipeline.observe import View, empty_view
+from cad_env.pipeline.observe_lanes import LaneView, empty_lane_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
 from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
 from cad_env.types import COLLISION, COMMANDS, FRAMES, MAX_STEPS, SUCCESS, TIMEOUT, Bytes, Floats, Ints
+from cad_env.world.lanes import Lanes, empty_lanes
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world
 from cad_env.world.step import advance, struck_from_behind
 from cad_env.world.time_to_contact import time_to_contact
@@ -54,6 +56,7 @@ class SceneState(NamedTuple):
 
     world: World
     routes: Routes
+    lanes: Lanes  # none where coverage is not shared
     fleet: Fleet
     sensor: Sensing
     link: Link
@@ -73,9 +76,13 @@ class BatchState(CopiedWhole):
     A copy, or what comes out of a pickle, has scenes of its own.
     """
 
-    def __init__(self, places: int, cloud: CloudConfig | None = None, commands: int = COMMANDS) -> None:
+    def __init__(
+        self, places: int, cloud: CloudConfig | None = None, commands: int = COMMANDS, coverage: bool = False
+    ) -> None:
         self.step_info = _no_step_info(places)
         self.views: View = empty_view(places, 1, commands=commands)  # what each ego decides on
+        self.coverage = coverage  # whether the views below are shown
+        self.lane_views: LaneView = empty_lane_view(places, 1)
         self.clouds: CloudView | None = None if cloud is None else empty_cloud_view(cloud, places)
         self.rooms: list[Bytes] = []  # scratch: for clouds before they are encoded
         self._scenes: dict[int, SceneState] = {}  # whose arrays the records borrow
@@ -88,6 +95,10 @@ class BatchState(CopiedWhole):
     def views_at(self, place: int) -> View:
         """The part of the scene at `place`, (1, ...)."""
         return View(*(part[place] for part in self.views))
+
+    def lane_views_at(self, place: int) -> LaneView:
+        """The part of the scene at `place`, (1, ...)."""
+        return LaneView(*(part[place] for part in self.lane_views))
 
     def clouds_at(self, place: int) -> CloudView | None:
         """The part of the scene at `place`, without a leading dimension; None where graphs are shared."""
@@ -126,7 +137,9 @@ class BatchState(CopiedWhole):
         self.records = new_record_array(KIND, len(self.step_info.outcome), self._scenes)
         for place, scene in scenes.items():
             # A part of an array over all scenes is copied as an array by itself: it becomes a part again.
-            fleet = scene.fleet._replace(views=self.views_at(place)) if place in shown else scene.fleet
+            fleet = scene.fleet
+            if place in shown:
+                fleet = fleet._replace(views=self.views_at(place), lane_views=self.lane_views_at(place))
             self.put(place, scene._replace(fleet=fleet, step_info=self.step_info_at(place)))
 
 
@@ -142,6 +155,7 @@ def _kind() -> Any:
         SceneState(
             world=empty_world(0),
             routes=empty_routes(),
+            lanes=empty_lanes(),
             fleet=new_fleet(np.zeros(1, np.int64), 0, 1, link),
             sensor=sensing(SensorConfig()),
             link=link,
@@ -185,7 +199,8 @@ def play(records: Any, which: Ints, actions: Ints, moves: bool) -> None:
             advance(scene.world, scene.routes, scene.fleet.rows, scene.actions, scene.scratch)
             scene.clock[0] += 1
         run(
-            scene.world, scene.routes, scene.fleet, scene.sensor, scene.link, scene.depth, scene.keys, scene.clock[0]
+            scene.world, scene.routes, scene.lanes, scene.fleet, scene.sensor, scene.link, scene.depth, scene.keys,
+            scene.clock[0],
         )  # fmt: skip
         write_step_info(scene)
 
@@ -194,7 +209,7 @@ def play(records: Any, which: Ints, actions: Ints, moves: bool) -> None:
 def play_exchanged(records: Any, place: int) -> None:
     """Merge, observe and write down anew in one scene: messages were exchanged since `play`."""
     scene = scene_at(records, place)
-    merge_all(scene.world, scene.routes, scene.fleet)
+    merge_all(scene.world, scene.routes, scene.lanes, scene.fleet, scene.clock[0])
     write_radio_info(scene.step_info, scene.fleet.report)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from cad_env.checks import check_mapping, check_numbers, check_range, plain, settle
+from cad_env.checks import check_mapping, check_numbers, check_range, check_switch, plain, settle
 from cad_env.config import RadioConfig, SensorConfig, check_keywords, check_names, knows_its_names, radio_config
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
@@ -26,6 +26,7 @@ class Setup:
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
     depth: int = FRAMES  # newest frames in a message
     cloud: CloudConfig | None = None  # given: points are shared instead of graphs
+    coverage: bool = False  # messages also say what was seen to be empty, and observations where hidden traffic may be
     share: ShareRule | None = None  # what a vehicle sends of its graph (None from it: nothing); None: all of it
     codec: GraphCodec | None = None  # how a graph becomes bytes; None: the project's own message format
 
@@ -39,6 +40,9 @@ class Setup:
             raise ValueError(f"share must be None or a function from a Graph to a Graph or None, got {self.share!r}")
         if self.codec is not None and not isinstance(self.codec, GraphCodec):
             raise ValueError(f"codec must be None or have encode and decode (GraphCodec), got {self.codec!r}")
+        check_switch("coverage", self.coverage)
+        if self.coverage and (self.cloud is not None or self.exchanges_graphs):
+            raise ValueError("coverage is a part of the project's own messages: leave out cloud, share and codec with it")
         if self.cloud is not None and self.exchanges_graphs:
             raise ValueError("share and codec are for graphs: leave them out where points are shared (cloud)")
         Traffic(self.traffic, self.penetration)

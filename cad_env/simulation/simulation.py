@@ -18,7 +18,6 @@ from cad_env.lidar.config import OwnCloud
 from cad_env.numerics.jit import announce_compilation
 from cad_env.numerics.philox import stream_key
 from cad_env.numerics.record_array import CopiedWhole
-from cad_env.pipeline.codec import MAX_BYTES
 from cad_env.pipeline.graph_arrays import as_graph
 from cad_env.pipeline.observe import as_observation, empty_view
 from cad_env.pipeline.radio import NOT_SENT, REASONS, fate, link_of
@@ -40,6 +39,7 @@ from cad_env.simulation.scene_step import (
 )
 from cad_env.simulation.setup import Setup
 from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
+from cad_env.world.lanes import empty_lanes
 from cad_env.world.state import Truth, World, indices_on_map
 
 FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_CODE, FINAL_REWARDS, strict=True)))
@@ -58,7 +58,8 @@ class Simulation(CopiedWhole):
         self.ranges = self.scenario.configured(dict(setup.ranges))
         self.traffic = Traffic(setup.traffic, setup.penetration)
         self._sensor = sensing(setup.sensor)
-        self._batch_state = batch_state or BatchState(1, setup.cloud, self.scenario.command_count)
+        self._batch_state = batch_state or BatchState(1, setup.cloud, self.scenario.command_count, setup.coverage)
+        self._lanes = self.map.lanes if setup.coverage else empty_lanes()
         self._place, self._which = place, np.array([place])
         link, shown = link_of(setup.radio), self._batch_state.clouds_at(place)
         self.sharing: Sharing | None = None
@@ -84,13 +85,18 @@ class Simulation(CopiedWhole):
         vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
         commands = self.scenario.command_count
         views = self._batch_state.views_at(self._place) if count == 1 else empty_view(count, commands=commands)
-        self.fleet: Fleet = new_fleet(self.agents, vehicles, count, self._link)._replace(views=views)
+        self.fleet: Fleet = new_fleet(
+            self.agents, vehicles, count, self._link, self._lanes, self.setup.sensor.miss
+        )._replace(views=views)
+        if count == 1:
+            self.fleet = self.fleet._replace(lane_views=self._batch_state.lane_views_at(self._place))
         self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
         goal, step_info = self.scene.goal, self._batch_state.step_info_at(self._place)
         step_info.min_ttc[0], step_info.progress[0] = math.inf, self.world.progress[0]
         self._scene_state = SceneState(
             world=self.world,
             routes=self.map.routes,
+            lanes=self._lanes,
             fleet=self.fleet,
             sensor=self._sensor,
             link=self._link,
@@ -154,15 +160,17 @@ class Simulation(CopiedWhole):
     def observation(self, agent: int) -> Observation:
         """What receiver `agent` decides on; the ego, number 0, is the only one that is shown clouds."""
         seen = as_observation(_at(self.fleet.views, agent))
+        if self.setup.coverage:
+            seen.update(as_observation(_at(self.fleet.lane_views, agent)))
         if self.sharing is not None and agent == 0:
             seen.update(as_observation(self.sharing.view))
         return seen
 
     def observations(self) -> list[Observation]:
         """What every receiver decides on, in their order: one copy of each part for all, and a row of it for each."""
-        views = self.fleet.views
-        parts = {name: part.copy() for name, part in zip(views._fields, views, strict=True)}
-        return [{name: part[k] for name, part in parts.items()} for k in range(len(views.ego))]
+        shown: list[Any] = [self.fleet.views, *([self.fleet.lane_views] if self.setup.coverage else [])]
+        parts = {name: part.copy() for views in shown for name, part in zip(views._fields, views, strict=True)}
+        return [{name: part[k] for name, part in parts.items()} for k in range(len(self.fleet.views.ego))]
 
     def outcome(self) -> str | None:
         """success, collision, timeout, or None while the episode of the ego goes on."""
@@ -230,7 +238,7 @@ class Simulation(CopiedWhole):
         They are counted, paid for, lost and delayed as any message. Nothing in them is checked here: what receivers
         make of them is in `info["messages_refused"]`, or in what they then hold. A vehicle that leaves the map before
         the next step sends nothing; bytes given again before it take the place of the former. ValueError for an unknown
-        vehicle, and for more than MAX_BYTES where graphs are sent in the project's own format.
+        vehicle, and for more than any message has where graphs are sent in the project's own format.
         """
         if "fleet" not in self.__dict__:
             raise RuntimeError("there is no episode yet: call reset() before inject()")
@@ -246,10 +254,11 @@ class Simulation(CopiedWhole):
             self._inject(int(sender), payload)
 
     def _inject(self, sender: int, payload: bytes) -> None:
-        if len(payload) > MAX_BYTES:
-            raise ValueError(f"payload must have at most {MAX_BYTES} bytes, as no message has more, got {len(payload)}")
+        longest = len(self.fleet.buffer)
+        if len(payload) > longest:
+            raise ValueError(f"payload must have at most {longest} bytes, as no message has more, got {len(payload)}")
         if self.fleet.injected.payload.shape[1] == 0:  # the first one: make room
-            self.fleet = self.fleet._replace(injected=nothing_injected(len(self.agents), MAX_BYTES))
+            self.fleet = self.fleet._replace(injected=nothing_injected(len(self.agents), longest))
             self._scene_state = self._scene_state._replace(fleet=self.fleet)
             self._batch_state.put(self._place, self._scene_state)
         self.fleet.injected.length[sender] = len(payload)

@@ -1,0 +1,221 @@
+"""What a vehicle sees to be empty: places of lanes in which a vehicle, were one there, would by now be a known track.
+
+A place is *seen* in a frame if a vehicle with its centre anywhere in it would be: the first of the five points that
+sensing asks for is the centre, and asking for it alone claims less than asking for all. A place is *vouched for* if it
+and all places in which a vehicle could have been that is in it now were seen in each of the newest frames, so many as it
+takes to confirm a track, and nothing that the vehicle knows of is in it. Vehicles drive forwards, at most at TOP_SPEED.
+
+Everything is in the frame of the vehicle's own fix, as its detections are: a wrong fix vouches for places beside those
+that were seen.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cad_env.numerics.jit import compiled, compiled_part, inlined_part
+from cad_env.pipeline.sense import MOUNT, Sensing
+from cad_env.pipeline.track import BIRTH_HITS, Tracks
+from cad_env.types import FRAMES, Bytes, Floats, Ints
+from cad_env.world.lanes import PLACE, PLACES, Lanes
+from cad_env.world.state import OFF, World
+
+SLACK = 0.4  # m that the centre of a vehicle may be off the place that stands for it: every box is taken to be larger
+ON_LANE = 1.75  # m from the middle of a lane, within which what is there is on it
+OCCUPIED = 2.5  # m before and behind the centre of a known vehicle, in which no place is empty
+BODY = 3.0  # m before and behind its centre, where nobody else's can be: there a vehicle hides none but itself
+UNKNOWN = 0.005  # of the vehicles that are in sight for so many frames, the share that may have no track
+
+
+class Coverage(NamedTuple):
+    """What V vehicles have seen to be empty on B lanes of P places; F is the number of frames that confirm a track."""
+
+    seen: Bytes  # (V, B, F, P) 1 where a vehicle would have been seen in each of the newest 1, 2, ... F frames
+    vouched: Bytes  # (V, B, P) 1 where there is none now
+    corner: Floats  # scratch: (N, 4, 2) m, of boxes that are SLACK larger to every side
+
+
+def new_coverage(vehicles: int, world: int, lanes: Lanes, miss: float) -> Coverage:
+    """Nothing has been seen yet by so many `vehicles` among those of a `world`."""
+    count = len(lanes.start)
+    return Coverage(
+        seen=np.zeros((vehicles, count, frames_needed(miss), PLACES), np.uint8),
+        vouched=np.zeros((vehicles, count, PLACES), np.uint8),
+        corner=np.zeros((world if count else 0, 4, 2)),
+    )
+
+
+def frames_needed(miss: float) -> int:
+    """Frames in sight, from BIRTH_HITS on, after which a vehicle has no track with at most UNKNOWN probability; 0: never.
+
+    What has a track, confirmed or not, is in no vouched place. Before it is confirmed two misses in a row end a track,
+    and for a fast vehicle one right after the first detection begins it anew: its next detection is out of the gate.
+
+    >>> frames_needed(0.0), frames_needed(0.05), frames_needed(0.1), frames_needed(1.0)
+    (3, 3, 5, 0)
+    """
+    hit = 1.0 - miss
+    none, once, once_missed, twice, twice_missed = 1.0, 0.0, 0.0, 0.0, 0.0  # probabilities; the rest is confirmed
+    for frame in range(1, FRAMES + 1):
+        none, once, once_missed, twice, twice_missed = (
+            miss * (none + once_missed + twice_missed), hit * (none + once_missed), miss * once, hit * once, miss * twice
+        )  # fmt: skip
+        if frame >= BIRTH_HITS and none <= UNKNOWN:
+            return frame
+    return 0
+
+
+@compiled
+def outer_corners(world: World, outlines: Floats, corner: Floats) -> None:
+    """Write the corners of every box, SLACK larger to every side, to corner (N, 4, 2); outlines from `sense.outline`."""
+    for k in range(corner.shape[0]):
+        cos, sin = outlines[k, 0], outlines[k, 1]
+        along, across = 0.5 * world.size[k, 0] + SLACK, 0.5 * world.size[k, 1] + SLACK
+        for c in range(4):
+            ahead = along if c < 2 else -along
+            left = across if c % 2 == 0 else -across
+            corner[k, c, 0] = world.position[k, 0] + ahead * cos - left * sin
+            corner[k, c, 1] = world.position[k, 1] + ahead * sin + left * cos
+
+
+@compiled_part
+def look(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats, seen: Bytes,
+         corner: Floats, near: Ints) -> None:  # fmt: skip
+    """One frame of what an observer sees of all lanes, by its own fix `pose`: seen (B, F, P); near (N,) is scratch."""
+    x, y = world.position[observer, 0], world.position[observer, 1]
+    wrong = pose[2] - world.heading[observer]
+    cos, sin = math.cos(wrong), math.sin(wrong)
+    ahead = MOUNT * world.size[observer, 0]
+    eye = (x + ahead * outlines[observer, 0], y + ahead * outlines[observer, 1])
+    reach = sensor.range - SLACK
+    count = _in_reach(world, outlines, observer, eye, reach, near)
+    frames = seen.shape[1]
+    for b in range(seen.shape[0] if frames > 0 else 0):
+        for k in range(frames - 1, 0, -1):
+            _age(seen[b, k - 1], seen[b, k])
+        for i in range(PLACES):
+            seen[b, 0, i] = 0
+        for s in range(lanes.pieces[b], lanes.pieces[b + 1]):
+            # Where the piece is if the fix is right about the observer: what is seen there is placed by the fix.
+            px, py = lanes.piece[s, 0] - pose[0], lanes.piece[s, 1] - pose[1]
+            ux, uy = lanes.piece[s, 2], lanes.piece[s, 3]
+            line = (x + px * cos + py * sin, y + py * cos - px * sin, ux * cos + uy * sin, uy * cos - ux * sin)
+            first, last = lanes.piece_places[s, 0], lanes.piece_places[s, 1]
+            _look_along(world, outlines, corner, near, count, eye, reach, line, lanes.piece[s, 4], seen[b, 0, first:last])
+        for k in range(1, frames):
+            for i in range(PLACES):
+                seen[b, k, i] &= seen[b, 0, i]
+
+
+@inlined_part
+def _age(newer: Bytes, older: Bytes) -> None:
+    """A frame later: where a vehicle would have been seen for one frame more, wherever it then was."""
+    older[0] = 0
+    came, stayed, now = newer[: PLACES - 1], newer[1:], older[1:]
+    for i in range(PLACES - 1):
+        now[i] = came[i] & stayed[i]
+
+
+@inlined_part
+def _in_reach(world: World, outlines: Floats, observer: int, eye: tuple[float, float], reach: float, near: Ints) -> int:
+    """Write to `near` the rows of who may hide anything within reach, and answer how many."""
+    count = 0
+    for k in range(outlines.shape[0]):
+        if k == observer or world.driver[k] == OFF:
+            continue
+        dx, dy = world.position[k, 0] - eye[0], world.position[k, 1] - eye[1]
+        limit = reach + outlines[k, 2] + SLACK
+        if dx * dx + dy * dy < limit * limit:
+            near[count] = k
+            count += 1
+    return count
+
+
+@inlined_part
+def _look_along(world: World, outlines: Floats, corner: Floats, near: Ints, count: int, eye: tuple[float, float],
+                reach: float, line: tuple[float, float, float, float], length: float, seen: Bytes) -> None:  # fmt: skip
+    """Set the places seen (n,) of a straight piece of a lane: those within reach that no box hides any part of."""
+    x, y, ux, uy = line
+    along = (eye[0] - x) * ux + (eye[1] - y) * uy
+    side = (eye[1] - y) * ux - (eye[0] - x) * uy
+    sign, height = (1.0, side) if side >= 0.0 else (-1.0, -side)
+    if height >= reach:
+        return
+    half, size = math.sqrt(reach * reach - height * height), length / seen.shape[0]
+    first = max(math.ceil((along - half) / size), 0)
+    last = min(math.floor((along + half) / size), seen.shape[0])
+    if last <= first:
+        return
+    for i in range(first, last):
+        seen[i] = 1
+    low, high = first * size - along, last * size - along
+    to_low, to_high = math.hypot(low, height), math.hypot(high, height)
+    for n in range(count):
+        k = near[n]
+        dx, dy = world.position[k, 0] - x, world.position[k, 1] - y
+        a, b, radius = dx * ux + dy * uy - along, sign * (dy * ux - dx * uy), outlines[k, 2] + 2.0 * SLACK
+        # Boxes beside the triangle of the eye and the places: most are.
+        if b > height + radius or b < -radius or low * (b - height) + height * a < -radius * to_low:
+            continue
+        if high * (b - height) + height * a > radius * to_high:
+            continue
+        start, end = _shadow(corner[k], line, sign, along, height)
+        body = (a - BODY) if abs(b) < ON_LANE else math.inf
+        for i in range(max(first, math.floor(start / size)), min(last, math.floor(min(end, length) / size) + 1)):
+            if not (i * size < body + along + 2.0 * BODY and (i + 1) * size > body + along):
+                seen[i] = 0
+
+
+@compiled_part
+def _shadow(corner: Floats, line: tuple[float, float, float, float], sign: float, along: float,
+            height: float) -> tuple[float, float]:  # fmt: skip
+    """(from, to), m along a line, of what a box with these corners hides from an eye `height` m beside `along`."""
+    start, end, least, most = math.inf, -math.inf, math.inf, -math.inf
+    level = beyond = before = False
+    for c in range(4):
+        dx, dy = corner[c, 0] - line[0], corner[c, 1] - line[1]
+        a, b = dx * line[2] + dy * line[3], sign * (dy * line[2] - dx * line[3])
+        least, most = min(least, a), max(most, a)
+        if b >= height - 1e-6:  # no line of sight past this corner comes to the lane
+            level = True
+        elif b >= 0.0:
+            before = True
+            hit = along + (a - along) * height / (height - b)
+            start, end = min(start, hit), max(end, hit)
+        else:
+            beyond = True
+    if not before and not (level and beyond):
+        return 0.0, -1.0
+    if beyond:  # the box is over the line
+        start, end = min(start, least), max(end, most)
+    if level and least < along:
+        start = -1e9
+    if level and most > along:
+        end = 1e9
+    return start, end
+
+
+@compiled_part
+def vouch(lanes: Lanes, tracks: Tracks, pose: Floats, seen: Bytes, vouched: Bytes) -> None:
+    """Write to vouched (B, P) what was seen (B, F, P) for long enough and has nothing known in it, by the own fix."""
+    frames = seen.shape[1]
+    for b in range(vouched.shape[0]):
+        for i in range(PLACES):
+            vouched[b, i] = seen[b, frames - 1, i] if frames > 0 else 0
+        for s in range(lanes.pieces[b], lanes.pieces[b + 1]):
+            places = vouched[b, lanes.piece_places[s, 0] : lanes.piece_places[s, 1]]
+            _occupy(lanes.piece[s], pose[0], pose[1], places)
+            for i in range(tracks.used[0]):
+                _occupy(lanes.piece[s], tracks.mean[i, 0], tracks.mean[i, 1], places)
+
+
+@inlined_part
+def _occupy(piece: Floats, x: float, y: float, places: Bytes) -> None:
+    """Nothing is empty around what is at (x, y), if it is on the lane."""
+    dx, dy = x - piece[0], y - piece[1]
+    if abs(dy * piece[2] - dx * piece[3]) > ON_LANE:
+        return
+    a, size = dx * piece[2] + dy * piece[3], piece[4] / places.shape[0]
+    for i in range(max(0, math.floor((a - OCCUPIED) / size)), min(places.shape[0], math.floor((a + OCCUPIED) / size) + 1)):
+        places[i] = 0

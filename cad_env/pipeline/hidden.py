@@ -1,0 +1,157 @@
+"""Where a vehicle may be that nobody has reported: for each receiver, sets of places on the lanes that its way meets.
+
+Every set starts full. Each step it grows downstream by what a vehicle at TOP_SPEED drives, then every place that the
+receiver itself or a message vouches for is taken out. What was vouched for so many steps ago is now empty only where
+nothing can have come from outside it since. Silence, losses and delays need no case of their own: what nobody vouches
+for grows back. A vehicle that is reported as standing closes its lane: nothing grows past it.
+
+The sets hold the places of vehicles that are known too, so that one whose track is lost is hidden again. They are left
+out only of what is shown.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cad_env.numerics.jit import compiled, compiled_part, inlined_part
+from cad_env.types import FRAMES, STEP, TRUCK, Bytes, Floats, GraphArrays, Ints
+from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
+
+NEVER = -1_000_000  # in place of the step of what is known of a lane
+ON_IT = 1.0  # m from the middle of a lane, within which a vehicle keeps others from passing it there
+HALF = (2.1, 4.0)  # m, half the length of the shortest car and truck that the scenes know
+STANDING_SPEED = 0.5  # m/s of a track of LONG frames or more, below which it is taken to stand
+LONG = 8  # frames from the oldest node of a track to its newest
+FRESH = 10  # frames, after which a node does not tell where a vehicle is any more
+UNDER, CLOSED = 1, 2  # in `known`: nobody else can be there; and nobody can come through there
+
+
+class Hidden(NamedTuple):
+    """What R receivers do not know, of L lanes of P places each that their own ways meet, as `Lanes.other` has them."""
+
+    places: Bytes  # (R, L, P) 1 where a vehicle may be
+    heard: Ints  # (R, L) int64 the newest step of which anything is known of a lane, NEVER for none
+    wall: Bytes  # (R, L, P) 0 where nobody comes to a place from the one before it, else 1
+    known: Bytes  # (R, L, P) UNDER or CLOSED by a known vehicle, else 0
+
+
+def new_hidden(receivers: int, lanes: Lanes) -> Hidden:
+    """Nobody has vouched for anything."""
+    shape = (receivers, CONFLICTS if len(lanes.start) else 0)
+    return Hidden(
+        places=np.ones((*shape, PLACES), np.uint8),
+        heard=np.full(shape, NEVER, np.int64),
+        wall=np.ones((*shape, PLACES), np.uint8),
+        known=np.zeros((*shape, PLACES), np.uint8),
+    )
+
+
+@inlined_part
+def hidden_at(hidden: Hidden, r: int) -> Hidden:
+    """The sets of receiver `r`."""
+    return Hidden(hidden.places[r], hidden.heard[r], hidden.wall[r], hidden.known[r])
+
+
+@compiled_part
+def grow(hidden: Hidden, lanes: Lanes, route: int) -> None:
+    """One step later: whoever is hidden may have come one place on."""
+    for k in range(hidden.places.shape[0]):
+        b = lanes.other[route, k]
+        if b < 0:
+            continue
+        places, wall = hidden.places[k], hidden.wall[k]
+        for i in range(PLACES - 1, 0, -1):
+            places[i] |= places[i - 1] & wall[i]
+        for i in range(min(lanes.first[b] + 1, PLACES)):  # where vehicles enter what is known of a lane
+            places[i] = 1
+
+
+@compiled_part
+def take_out(hidden: Hidden, lanes: Lanes, route: int, vouched: Bytes, step: int, age: int) -> None:
+    """Take out the places vouched (B, P) in step `step - age`, as far as nothing can have come to them since."""
+    for k in range(hidden.places.shape[0]):
+        b = lanes.other[route, k]
+        if b < 0:
+            continue
+        places, streak, told = hidden.places[k], 0, False
+        for i in range(PLACES):
+            streak = streak + 1 if vouched[b, i] else 0
+            told |= streak > 0
+            if streak > age:
+                places[i] = 0
+        if told:
+            hidden.heard[k] = max(hidden.heard[k], step - age)
+
+
+@compiled_part
+def note_known(hidden: Hidden, lanes: Lanes, route: int, merged: GraphArrays) -> None:
+    """Mark where the vehicles of a merged graph are: nobody else is, and nobody comes past those that stand."""
+    for k in range(hidden.places.shape[0]):
+        for i in range(PLACES):
+            hidden.wall[k, i], hidden.known[k, i] = 1, 0
+    for g in range(merged.used[0]):
+        x, y, vx, vy, age, length = _motion(merged, g)
+        if age > FRESH:
+            continue
+        stands = length >= LONG and vx * vx + vy * vy < STANDING_SPEED * STANDING_SPEED
+        half = HALF[0] + (HALF[1] if merged.kind[g] == TRUCK else HALF[0])
+        for k in range(hidden.places.shape[0]):
+            b = lanes.other[route, k]
+            if b >= 0:
+                arc, beside, ahead = place_beside(lanes, b, x, y, x + STEP * age * vx, y + STEP * age * vy)
+                if beside < ON_IT:
+                    _mark(hidden.known[k], hidden.wall[k], arc, ahead, half, stands)
+
+
+@compiled_part
+def _motion(merged: GraphArrays, g: int) -> tuple[float, float, float, float, int, int]:
+    """The newest node of a row, m, its mean velocity, m/s, the age of that node and the frames that it is from, frames."""
+    newest = oldest = -1
+    for t in range(FRAMES):
+        if merged.mask[g, t]:
+            newest = t
+            oldest = t if oldest < 0 else oldest
+    x, y, length = merged.position[g, newest, 0], merged.position[g, newest, 1], newest - oldest
+    if length == 0:
+        return x, y, 0.0, 0.0, FRAMES - 1 - newest, 0
+    vx = (x - merged.position[g, oldest, 0]) / (STEP * length)
+    vy = (y - merged.position[g, oldest, 1]) / (STEP * length)
+    return x, y, vx, vy, FRAMES - 1 - newest, length
+
+
+@compiled_part
+def place_beside(lanes: Lanes, b: int, x: float, y: float, to_x: float, to_y: float) -> tuple[float, float, float]:
+    """(places along lane b, m beside its middle, places along it of a second point) of a point; inf where it is not."""
+    nearest, arc, ahead = math.inf, 0.0, 0.0
+    for s in range(lanes.pieces[b], lanes.pieces[b + 1]):
+        piece = lanes.piece[s]
+        dx, dy = x - piece[0], y - piece[1]
+        a, side = dx * piece[2] + dy * piece[3], abs(dy * piece[2] - dx * piece[3])
+        if side < nearest and -0.5 * PLACE <= a <= piece[4] + 0.5 * PLACE:
+            size = piece[4] / (lanes.piece_places[s, 1] - lanes.piece_places[s, 0])
+            nearest, arc = side, lanes.piece_places[s, 0] + a / size
+            ahead = lanes.piece_places[s, 0] + ((to_x - piece[0]) * piece[2] + (to_y - piece[1]) * piece[3]) / size
+    return arc, nearest, ahead
+
+
+@inlined_part
+def _mark(known: Bytes, wall: Bytes, arc: float, ahead: float, half: float, stands: bool) -> None:
+    for i in range(max(math.ceil(ahead - half / PLACE), 0), min(math.floor(ahead + half / PLACE), PLACES)):
+        known[i] = max(known[i], UNDER)
+    place = math.floor(arc)
+    if stands and 0 <= place < PLACES:
+        known[place] = CLOSED
+        if place + 2 < PLACES:  # one further, for a noisy node
+            wall[place + 2] = 0
+
+
+@compiled
+def foremost(places: Bytes, known: Bytes, first: int, last: int) -> int:
+    """The foremost place, from `first` to `last`, in which a vehicle may be hidden that can come on; -1: none."""
+    for i in range(last, first - 1, -1):
+        if known[i] == CLOSED:
+            return -1
+        if places[i] and not known[i]:
+            return i
+    return -1

@@ -1,0 +1,125 @@
+"""Hidden places -> the lanes that an agent's way meets, as fixed masked arrays in its own frame."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+
+from cad_env.numerics.jit import compiled_part, inlined_part
+from cad_env.pipeline.hidden import HALF, Hidden, foremost, place_beside
+from cad_env.pipeline.observe import HORIZON
+from cad_env.types import CAR, FRAMES, MAX_STEPS, STEP, Floats, Ints
+from cad_env.world.dynamics import place_on_route
+from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, TOP_SPEED, Lanes
+from cad_env.world.state import Routes
+
+BESIDE = 4.0  # m from the middle of a lane that comes towards it, within which the agent is beside it
+# The columns of `lanes`, in the agent's frame. The conflict is where the lane first takes up ground of the agent's way.
+LANE_FEATURES = (
+    "x", "y",  # m, the conflict
+    "cos", "sin",  # of the lane's direction there
+    "reach",  # m along the agent's way until the front of its body is in the way of the lane; negative: it is
+    "through",  # m along the agent's way until the rear of its body is out of it
+    "hidden",  # m along the lane from the foremost hidden place to the conflict; negative: beyond it; HORIZON: none
+    "age",  # s since the newest of what is known of the lane
+    "time",  # s until the front of a car from there could be at the conflict, at `speed`
+    "speed",  # m/s that what is hidden may drive at
+    "phantom_x", "phantom_y", "phantom_cos", "phantom_sin",  # m, the foremost hidden place, and its lane there; or zeros
+)  # fmt: skip
+
+
+class LaneView(NamedTuple):
+    """What an observation with coverage has besides; L = CONFLICTS, F = len(LANE_FEATURES)."""
+
+    lanes: Floats  # (L, F) float32 as LANE_FEATURES, in the order in which the way meets them; zero where the mask is
+    lane_mask: Ints  # (L,) int8 1 for each lane that the agent has not passed
+
+
+def empty_lane_view(*lead: int) -> LaneView:
+    """No lanes; leading dimensions stack views."""
+    return LaneView(
+        np.zeros((*lead, CONFLICTS, len(LANE_FEATURES)), np.float32), np.zeros((*lead, CONFLICTS), np.int8)
+    )
+
+
+def lane_spaces() -> dict[str, spaces.Space]:
+    """The boxes of a LaneView."""
+    return {
+        "lanes": spaces.Box(-HORIZON, HORIZON, (CONFLICTS, len(LANE_FEATURES)), np.float32),
+        "lane_mask": spaces.Box(0, 1, (CONFLICTS,), np.int8),
+    }
+
+
+@inlined_part
+def lane_view_at(stack: LaneView, r: int) -> LaneView:
+    """View number `r` of a stack, for compiled loops."""
+    return LaneView(stack.lanes[r], stack.lane_mask[r])
+
+
+@compiled_part
+def observe_lanes(view: LaneView, hidden: Hidden, lanes: Lanes, routes: Routes, route: int, progress: float,
+                  length: float, trail: Floats, step: int) -> None:  # fmt: skip
+    """Show the lanes that the way meets, as the own fixes in trail (T, 3) place the agent, `length` m long."""
+    view.lanes[:] = 0.0
+    view.lane_mask[:] = 0
+    pose, shown = trail[FRAMES - 1], 0
+    along, _ = place_on_route(routes, route, pose[0], pose[1], progress)
+    for k in range(hidden.places.shape[0]):
+        b = lanes.other[route, k]
+        if b < 0 or lanes.through[route, k] - along + 0.5 * length <= 0.0:
+            continue
+        row = view.lanes[shown]
+        view.lane_mask[shown] = 1
+        shown += 1
+        conflict = lanes.conflict[route, k]
+        _put(row, 0, pose, conflict[0], conflict[1], conflict[2], conflict[3])
+        row[4] = _clip(lanes.reach[route, k] - along - 0.5 * length)
+        row[5] = _clip(lanes.through[route, k] - along + 0.5 * length)
+        row[7] = min(STEP * (step - hidden.heard[k]), STEP * MAX_STEPS)
+        row[9] = TOP_SPEED
+        place = foremost(hidden.places[k], hidden.known[k], lanes.first[b], _last_place(lanes, route, k, b, pose))
+        away = math.inf if place < 0 else lanes.entry[route, k] - (lanes.start[b] + (place + 1) * PLACE)
+        row[6] = _clip(away)
+        row[8] = max(row[6] - HALF[CAR], 0.0) / TOP_SPEED
+        if away < HORIZON:
+            x, y, cos, sin = _at_place(lanes, b, place + 1)
+            _put(row, 10, pose, x, y, cos, sin)
+
+
+@inlined_part
+def _last_place(lanes: Lanes, route: int, k: int, b: int, pose: Floats) -> int:
+    """The last place of lane b from where anybody comes to the conflict: it ends where what comes has met the agent."""
+    last = (lanes.exit[route, k] - lanes.start[b]) / PLACE
+    if lanes.opposed[route, k]:
+        arc, beside, _ = place_beside(lanes, b, pose[0], pose[1], pose[0], pose[1])
+        if beside < BESIDE:
+            last = min(last, arc)
+    return min(max(math.floor(last), 0), PLACES - 1)
+
+
+@inlined_part
+def _at_place(lanes: Lanes, b: int, place: int) -> tuple[float, float, float, float]:
+    """x, y (m), cos and sin of lane b where a place begins."""
+    s = lanes.pieces[b]
+    while place > lanes.piece_places[s, 1]:
+        s += 1
+    piece = lanes.piece[s]
+    first, last = lanes.piece_places[s, 0], lanes.piece_places[s, 1]
+    along = (place - first) * piece[4] / (last - first)
+    return piece[0] + along * piece[2], piece[1] + along * piece[3], piece[2], piece[3]
+
+
+@inlined_part
+def _put(row: Floats, column: int, pose: Floats, x: float, y: float, cos: float, sin: float) -> None:
+    """Write a point and a direction of the world, in the frame of a pose, to four columns."""
+    ahead, left = math.cos(pose[2]), math.sin(pose[2])
+    row[column] = _clip((x - pose[0]) * ahead + (y - pose[1]) * left)
+    row[column + 1] = _clip((y - pose[1]) * ahead - (x - pose[0]) * left)
+    row[column + 2] = cos * ahead + sin * left
+    row[column + 3] = sin * ahead - cos * left
+
+
+@compiled_part
+def _clip(value: float) -> float:
+    return min(max(value, -HORIZON), HORIZON)

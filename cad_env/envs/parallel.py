@@ -23,8 +23,8 @@ from cad_env.envs.single import (
     checked_options,
     checked_seed,
 )
+from cad_env.lidar.config import space_with
 from cad_env.numerics.record_array import CopiedWhole
-from cad_env.pipeline.observe import observation_space
 from cad_env.rendering.framing import screen
 from cad_env.rendering.layers import LAYERS, checked_layers
 from cad_env.rendering.viewer import SceneViewer
@@ -83,7 +83,8 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         most = self.simulation.scenario.most_connected(self.simulation.ranges, self.simulation.traffic)
         self.possible_agents = [f"cav_{k}" for k in range(most)]
         commands = self.simulation.scenario.command_count
-        self.observation_spaces = {agent: observation_space(commands) for agent in self.possible_agents}
+        coverage = self.simulation.setup.coverage
+        self.observation_spaces = {agent: space_with(None, commands, coverage) for agent in self.possible_agents}
         self.action_spaces = {agent: spaces.Discrete(2) for agent in self.possible_agents}
         self.state_space = global_state_space()
         self.agents: list[str] = []

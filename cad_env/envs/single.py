@@ -38,7 +38,7 @@ _SWITCHES = {
     "object_lists", "show_trajectories", "render_agent", "manual_control", "real_time_rendering",
     "neighbour_vehicles_connected_lanes",
 }  # fmt: skip
-_SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "share", "codec")
+_SETUP = ("scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "coverage", "share", "codec")
 
 
 class CADEnv(CopiedWhole, HighwayBase):
@@ -46,7 +46,8 @@ class CADEnv(CopiedWhole, HighwayBase):
 
     Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset
     name, RadioConfig or dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud`
-    (CloudConfig or dict: points are shared, not graphs), `traffic` (none, light or dense), `penetration` (share of the
+    (CloudConfig or dict: points are shared, not graphs), `coverage` (True: messages also say what was seen to be empty,
+    and the observation has the lanes on which somebody unseen may come), `traffic` (none, light or dense), `penetration` (share of the
     vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists`
     (True adds to info what each connected vehicle tracks), `layers` (names of what pictures show over highway-env's
     view), `share` and `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step,
@@ -134,7 +135,7 @@ class CADEnv(CopiedWhole, HighwayBase):
         """Made once: highway-env makes new ones at every reset, which forgets a seeded action space."""
         self.observation_type = self.action_type = None
         self.observation_space: spaces.Dict = space_with(
-            self.simulation.setup.cloud, self.simulation.scenario.command_count
+            self.simulation.setup.cloud, self.simulation.scenario.command_count, self.simulation.setup.coverage
         )
         self.action_space: spaces.Discrete = spaces.Discrete(2)
 
@@ -221,6 +222,10 @@ def _check_same_observation(built: Simulation, simulation: Simulation) -> None:
     """Refuse with a one-line ValueError what would need another observation space."""
     if simulation.setup.cloud != built.setup.cloud:
         raise ValueError(f"cloud is a part of the observation and cannot change later, got {simulation.setup.cloud!r}")
+    if simulation.setup.coverage != built.setup.coverage:
+        raise ValueError(
+            f"coverage is a part of the observation and cannot change later, got {simulation.setup.coverage!r}"
+        )
     if simulation.scenario.command_count != built.scenario.command_count:
         raise ValueError(
             "commands are a part of the observation and cannot change later, "

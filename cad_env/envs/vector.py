@@ -67,7 +67,7 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
         setups = [setup_from({**options, "scenario": name}) for name in names]
         self.batch = SceneBatch([setups[place % len(setups)] for place in range(num_envs)])
         self.single_observation_space: spaces.Dict = space_with(
-            setups[0].cloud, self.batch.simulations[0].scenario.command_count
+            setups[0].cloud, self.batch.simulations[0].scenario.command_count, setups[0].coverage
         )
         self.single_action_space: spaces.Discrete = spaces.Discrete(2)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

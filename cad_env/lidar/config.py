@@ -11,6 +11,7 @@ from cad_env.checks import check_numbers
 from cad_env.config import check_names, knows_its_names
 from cad_env.lidar.points import MOST_POINTS, RawPoints, Reads
 from cad_env.pipeline.observe import HORIZON, observation_space
+from cad_env.pipeline.observe_lanes import lane_spaces
 from cad_env.types import COMMANDS, Floats, Ints
 
 MOST_AZIMUTHS, MOST_BEAMS, MOST_MERGED = 8192, 128, 65536
@@ -90,7 +91,9 @@ def empty_cloud_view(config: CloudConfig, *lead: int) -> CloudView:
 
 def space_with(config: CloudConfig | None, commands: int = COMMANDS, coverage: bool = False) -> spaces.Dict:
     """The space of the ego's observation: that of graphs, and with clouds or coverage their two boxes."""
-    boxes = dict(observation_space(commands, coverage).spaces)
+    boxes = dict(observation_space(commands).spaces)
+    if coverage:
+        boxes.update(lane_spaces())
     if config is not None:
         view = empty_cloud_view(config)
         boxes["cloud"] = spaces.Box(-HORIZON, HORIZON, view.cloud.shape, np.float32)

@@ -284,7 +284,7 @@ def decode_with_places(payload: bytes) -> tuple[Graph, Bytes | None]:
 
 def _checked_places(places: Bytes) -> Bytes:
     """(B, P) as bytes; ValueError for what is not a set of places that can be sent."""
-    chosen = np.ascontiguousarray(places, np.uint8)
+    chosen = np.ascontiguousarray(np.asarray(places) != 0, np.uint8)
     if chosen.ndim != 2 or chosen.shape[1] != PLACES or len(chosen) > FORMAT_LANES:
         raise ValueError(f"places must be (B, {PLACES}) of at most {FORMAT_LANES} lanes, got {chosen.shape}")
     return chosen

@@ -34,6 +34,7 @@ class Coverage(NamedTuple):
     seen: Bytes  # (V, B, F, P) 1 where a vehicle would have been seen in each of the newest 1, 2, ... F frames
     vouched: Bytes  # (V, B, P) 1 where there is none now
     corner: Floats  # scratch: (N, 4, 2) m, of boxes that are SLACK larger to every side
+    near: Floats  # scratch: (N, 3) m, of who is in reach: its centre, seen from the eye, and the radius around its box
 
 
 def new_coverage(vehicles: int, world: int, lanes: Lanes, miss: float) -> Coverage:
@@ -43,6 +44,7 @@ def new_coverage(vehicles: int, world: int, lanes: Lanes, miss: float) -> Covera
         seen=np.zeros((vehicles, count, frames_needed(miss), PLACES), np.uint8),
         vouched=np.zeros((vehicles, count, PLACES), np.uint8),
         corner=np.zeros((world if count else 0, 4, 2)),
+        near=np.zeros((world if count else 0, 3)),
     )
 
 
@@ -81,15 +83,18 @@ def outer_corners(world: World, outlines: Floats, corner: Floats) -> None:
 
 @compiled_part
 def look(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats, seen: Bytes,
-         corner: Floats, near: Ints) -> None:  # fmt: skip
-    """One frame of what an observer sees of all lanes, by its own fix `pose`: seen (B, F, P); near (N,) is scratch."""
+         corner: Floats, near: Floats, row: Ints) -> None:  # fmt: skip
+    """One frame of what an observer sees of all lanes, by its own fix `pose`: seen (B, F, P).
+
+    corner as from `outer_corners`; near (N, 3) and row (N,) are scratch.
+    """
     x, y = world.position[observer, 0], world.position[observer, 1]
     wrong = pose[2] - world.heading[observer]
     cos, sin = math.cos(wrong), math.sin(wrong)
     ahead = MOUNT * world.size[observer, 0]
     eye = (x + ahead * outlines[observer, 0], y + ahead * outlines[observer, 1])
     reach = sensor.range - SLACK
-    count = _in_reach(world, outlines, observer, eye, reach, near)
+    count = _in_reach(world, outlines, observer, eye, reach, near, row)
     frames = seen.shape[1]
     for b in range(seen.shape[0] if frames > 0 else 0):
         for k in range(frames - 1, 0, -1):
@@ -102,7 +107,7 @@ def look(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Se
             ux, uy = lanes.piece[s, 2], lanes.piece[s, 3]
             line = (x + px * cos + py * sin, y + py * cos - px * sin, ux * cos + uy * sin, uy * cos - ux * sin)
             first, last = lanes.piece_places[s, 0], lanes.piece_places[s, 1]
-            _look_along(world, outlines, corner, near, count, eye, reach, line, lanes.piece[s, 4], seen[b, 0, first:last])
+            _look_along(corner, near, row, count, eye, reach, line, lanes.piece[s, 4], seen[b, 0, first:last])
         for k in range(1, frames):
             for i in range(PLACES):
                 seen[b, k, i] &= seen[b, 0, i]
@@ -118,23 +123,24 @@ def _age(newer: Bytes, older: Bytes) -> None:
 
 
 @inlined_part
-def _in_reach(world: World, outlines: Floats, observer: int, eye: tuple[float, float], reach: float, near: Ints) -> int:
-    """Write to `near` the rows of who may hide anything within reach, and answer how many."""
+def _in_reach(world: World, outlines: Floats, observer: int, eye: tuple[float, float], reach: float, near: Floats,
+              row: Ints) -> int:  # fmt: skip
+    """Write to near and row who may hide anything within reach, and answer how many."""
     count = 0
     for k in range(outlines.shape[0]):
         if k == observer or world.driver[k] == OFF:
             continue
         dx, dy = world.position[k, 0] - eye[0], world.position[k, 1] - eye[1]
-        limit = reach + outlines[k, 2] + SLACK
-        if dx * dx + dy * dy < limit * limit:
-            near[count] = k
+        radius = outlines[k, 2] + 2.0 * SLACK
+        if dx * dx + dy * dy < (reach + radius) * (reach + radius):
+            near[count, 0], near[count, 1], near[count, 2], row[count] = dx, dy, radius, k
             count += 1
     return count
 
 
 @inlined_part
-def _look_along(world: World, outlines: Floats, corner: Floats, near: Ints, count: int, eye: tuple[float, float],
-                reach: float, line: tuple[float, float, float, float], length: float, seen: Bytes) -> None:  # fmt: skip
+def _look_along(corner: Floats, near: Floats, row: Ints, count: int, eye: tuple[float, float], reach: float,
+                line: tuple[float, float, float, float], length: float, seen: Bytes) -> None:  # fmt: skip
     """Set the places seen (n,) of a straight piece of a lane: those within reach that no box hides any part of."""
     x, y, ux, uy = line
     along = (eye[0] - x) * ux + (eye[1] - y) * uy
@@ -150,20 +156,19 @@ def _look_along(world: World, outlines: Floats, corner: Floats, near: Ints, coun
     for i in range(first, last):
         seen[i] = 1
     low, high = first * size - along, last * size - along
-    to_low, to_high = math.hypot(low, height), math.hypot(high, height)
+    to_low, to_high = math.sqrt(low * low + height * height), math.sqrt(high * high + height * height)
     for n in range(count):
-        k = near[n]
-        dx, dy = world.position[k, 0] - x, world.position[k, 1] - y
-        a, b, radius = dx * ux + dy * uy - along, sign * (dy * ux - dx * uy), outlines[k, 2] + 2.0 * SLACK
+        dx, dy, radius = near[n, 0], near[n, 1], near[n, 2]
+        a, b = dx * ux + dy * uy, sign * (dy * ux - dx * uy)  # along the line and towards it, from the eye
         # Boxes beside the triangle of the eye and the places: most are.
-        if b > height + radius or b < -radius or low * (b - height) + height * a < -radius * to_low:
+        if b > radius or b + height < -radius or low * b + height * a < -radius * to_low:
             continue
-        if high * (b - height) + height * a > radius * to_high:
+        if high * b + height * a > radius * to_high:
             continue
-        start, end = _shadow(corner[k], line, sign, along, height)
-        body = (a - BODY) if abs(b) < ON_LANE else math.inf
+        start, end = _shadow(corner[row[n]], line, sign, along, height)
+        body = along + (a - BODY if abs(b + height) < ON_LANE else math.inf)
         for i in range(max(first, math.floor(start / size)), min(last, math.floor(min(end, length) / size) + 1)):
-            if not (i * size < body + along + 2.0 * BODY and (i + 1) * size > body + along):
+            if not (i * size < body + 2.0 * BODY and (i + 1) * size > body):
                 seen[i] = 0
 
 
@@ -201,8 +206,12 @@ def vouch(lanes: Lanes, tracks: Tracks, pose: Floats, seen: Bytes, vouched: Byte
     """Write to vouched (B, P) what was seen (B, F, P) for long enough and has nothing known in it, by the own fix."""
     frames = seen.shape[1]
     for b in range(vouched.shape[0]):
+        some = False
         for i in range(PLACES):
             vouched[b, i] = seen[b, frames - 1, i] if frames > 0 else 0
+            some |= vouched[b, i] != 0
+        if not some:
+            continue
         for s in range(lanes.pieces[b], lanes.pieces[b + 1]):
             places = vouched[b, lanes.piece_places[s, 0] : lanes.piece_places[s, 1]]
             _occupy(lanes.piece[s], pose[0], pose[1], places)

@@ -104,14 +104,14 @@ def note_known(hidden: Hidden, lanes: Lanes, route: int, merged: GraphArrays) ->
                     _mark(hidden.known[k], hidden.wall[k], arc, ahead, half, stands)
 
 
-@compiled_part
+@inlined_part
 def _motion(merged: GraphArrays, g: int) -> tuple[float, float, float, float, int, int]:
     """The newest node of a row, m, its mean velocity, m/s, the age of that node and the frames that it is from, frames."""
-    newest = oldest = -1
-    for t in range(FRAMES):
-        if merged.mask[g, t]:
-            newest = t
-            oldest = t if oldest < 0 else oldest
+    newest, oldest = FRAMES - 1, 0
+    while not merged.mask[g, newest] and newest > 0:
+        newest -= 1
+    while not merged.mask[g, oldest] and oldest < newest:
+        oldest += 1
     x, y, length = merged.position[g, newest, 0], merged.position[g, newest, 1], newest - oldest
     if length == 0:
         return x, y, 0.0, 0.0, FRAMES - 1 - newest, 0
@@ -120,18 +120,23 @@ def _motion(merged: GraphArrays, g: int) -> tuple[float, float, float, float, in
     return x, y, vx, vy, FRAMES - 1 - newest, length
 
 
-@compiled_part
+@inlined_part
 def place_beside(lanes: Lanes, b: int, x: float, y: float, to_x: float, to_y: float) -> tuple[float, float, float]:
     """(places along lane b, m beside its middle, places along it of a second point) of a point; inf where it is not."""
-    nearest, arc, ahead = math.inf, 0.0, 0.0
+    nearest, best = math.inf, -1
     for s in range(lanes.pieces[b], lanes.pieces[b + 1]):
-        piece = lanes.piece[s]
-        dx, dy = x - piece[0], y - piece[1]
-        a, side = dx * piece[2] + dy * piece[3], abs(dy * piece[2] - dx * piece[3])
-        if side < nearest and -0.5 * PLACE <= a <= piece[4] + 0.5 * PLACE:
-            size = piece[4] / (lanes.piece_places[s, 1] - lanes.piece_places[s, 0])
-            nearest, arc = side, lanes.piece_places[s, 0] + a / size
-            ahead = lanes.piece_places[s, 0] + ((to_x - piece[0]) * piece[2] + (to_y - piece[1]) * piece[3]) / size
+        dx, dy = x - lanes.piece[s, 0], y - lanes.piece[s, 1]
+        side = abs(dy * lanes.piece[s, 2] - dx * lanes.piece[s, 3])
+        if side < nearest:
+            a = dx * lanes.piece[s, 2] + dy * lanes.piece[s, 3]
+            if -0.5 * PLACE <= a <= lanes.piece[s, 4] + 0.5 * PLACE:
+                nearest, best = side, s
+    if best < 0:
+        return 0.0, nearest, 0.0
+    piece, first, last = lanes.piece[best], lanes.piece_places[best, 0], lanes.piece_places[best, 1]
+    size = piece[4] / (last - first)
+    arc = first + ((x - piece[0]) * piece[2] + (y - piece[1]) * piece[3]) / size
+    ahead = first + ((to_x - piece[0]) * piece[2] + (to_y - piece[1]) * piece[3]) / size
     return arc, nearest, ahead
 
 

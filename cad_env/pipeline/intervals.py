@@ -19,6 +19,7 @@ from cad_env.world.lanes import PLACES
 FORMAT_LANES = 255  # that the format can count
 BEYOND = 11  # a place is beyond the end of its lane
 NO_LANE = 12  # there are fewer lanes
+_EIGHT = 0x0101010101010101  # eight places that are all set
 NO_PLACE = 13  # the last lane has no place
 
 
@@ -30,25 +31,25 @@ def max_places_bytes(lanes: int) -> int:
 @compiled
 def put_places(buffer: Bytes, at: int, chosen: Bytes) -> int:
     """Write which places of chosen (B, P) are set; answers where the next value goes."""
-    lanes = chosen.shape[0]
-    while lanes > 0 and not chosen[lanes - 1].any():
+    lanes, eight = chosen.shape[0], chosen.view(np.int64)  # places at once, most of which are alike
+    while lanes > 0 and not eight[lanes - 1].any():
         lanes -= 1
     at = put_varint(buffer, at, lanes)
     for b in range(lanes):
-        places, count = chosen[b], 0
-        for i in range(PLACES):
-            count += places[i] != 0 and (i == 0 or places[i - 1] == 0)
-        at = put_varint(buffer, at, count)
-        i, before = 0, 0
-        for k in range(count):
-            while places[i] == 0:
-                i += 1
+        places, where, count = chosen[b], at, 0  # of half as many intervals as places at most: one byte
+        at += 1
+        i = before = 0
+        while i < PLACES:
+            if places[i] == 0:
+                i += 8 if i % 8 == 0 and eight[b, i // 8] == 0 else 1
+                continue
             start = i
             while i < PLACES and places[i] != 0:
-                i += 1
-            at = put_varint(buffer, at, start - before - (k > 0))
+                i += 8 if i % 8 == 0 and eight[b, i // 8] == _EIGHT else 1
+            at = put_varint(buffer, at, start - before - (count > 0))
             at = put_varint(buffer, at, i - start - 1)
-            before = i
+            before, count = i, count + 1
+        buffer[where] = count
     return at
 
 

@@ -64,6 +64,7 @@ def observe_lanes(view: LaneView, hidden: Hidden, lanes: Lanes, routes: Routes, 
     view.lanes[:] = 0.0
     view.lane_mask[:] = 0
     pose, shown = trail[FRAMES - 1], 0
+    frame = (pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]))
     along, _ = place_on_route(routes, route, pose[0], pose[1], progress)
     for k in range(hidden.places.shape[0]):
         b = lanes.other[route, k]
@@ -73,7 +74,7 @@ def observe_lanes(view: LaneView, hidden: Hidden, lanes: Lanes, routes: Routes, 
         view.lane_mask[shown] = 1
         shown += 1
         conflict = lanes.conflict[route, k]
-        _put(row, 0, pose, conflict[0], conflict[1], conflict[2], conflict[3])
+        _put(row, 0, frame, conflict[0], conflict[1], conflict[2], conflict[3])
         row[4] = _clip(lanes.reach[route, k] - along - 0.5 * length)
         row[5] = _clip(lanes.through[route, k] - along + 0.5 * length)
         row[7] = min(STEP * (step - hidden.heard[k]), STEP * MAX_STEPS)
@@ -84,7 +85,7 @@ def observe_lanes(view: LaneView, hidden: Hidden, lanes: Lanes, routes: Routes, 
         row[8] = max(row[6] - HALF[CAR], 0.0) / TOP_SPEED
         if away < HORIZON:
             x, y, cos, sin = _at_place(lanes, b, place + 1)
-            _put(row, 10, pose, x, y, cos, sin)
+            _put(row, 10, frame, x, y, cos, sin)
 
 
 @inlined_part
@@ -111,13 +112,12 @@ def _at_place(lanes: Lanes, b: int, place: int) -> tuple[float, float, float, fl
 
 
 @inlined_part
-def _put(row: Floats, column: int, pose: Floats, x: float, y: float, cos: float, sin: float) -> None:
-    """Write a point and a direction of the world, in the frame of a pose, to four columns."""
-    ahead, left = math.cos(pose[2]), math.sin(pose[2])
-    row[column] = _clip((x - pose[0]) * ahead + (y - pose[1]) * left)
-    row[column + 1] = _clip((y - pose[1]) * ahead - (x - pose[0]) * left)
-    row[column + 2] = cos * ahead + sin * left
-    row[column + 3] = sin * ahead - cos * left
+def _put(row: Floats, column: int, frame: tuple[float, float, float, float], x: float, y: float, cos: float,
+         sin: float) -> None:  # fmt: skip
+    """Write a point and a direction of the world, in the frame of a pose (x, y, cos, sin), to four columns."""
+    dx, dy = x - frame[0], y - frame[1]
+    row[column], row[column + 1] = _clip(dx * frame[2] + dy * frame[3]), _clip(dy * frame[2] - dx * frame[3])
+    row[column + 2], row[column + 3] = cos * frame[2] + sin * frame[3], sin * frame[2] - cos * frame[3]
 
 
 @compiled_part

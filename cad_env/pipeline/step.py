@@ -213,7 +213,10 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
 def cover(world: World, lanes: Lanes, fleet: Fleet, v: int, sensor: Sensing) -> None:
     """One frame of what one vehicle sees to be empty, after it has perceived what is there."""
     coverage, pose = fleet.coverage, fleet.trail[v, FRAMES - 1]
-    look(world, fleet.outlines, lanes, fleet.rows[v], sensor, pose, coverage.seen[v], coverage.corner, fleet.near)
+    look(
+        world, fleet.outlines, lanes, fleet.rows[v], sensor, pose, coverage.seen[v], coverage.corner, coverage.near,
+        fleet.near,
+    )  # fmt: skip
     vouch(lanes, _tracks_at(fleet.tracks, v), pose, coverage.seen[v], coverage.vouched[v])
 
 

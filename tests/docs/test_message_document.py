@@ -8,7 +8,8 @@ from document_decoder import Message, RefusedError, decode_graph, decode_points
 from scenes import started, steps
 
 from cad_env.lidar.envelope import opened
-from cad_env.pipeline.codec import DecodeError, decode, encode
+from cad_env.pipeline.codec import DecodeError, decode_with_places, encode
+from cad_env.pipeline.intervals import intervals_of
 from cad_env.scenarios import SCENARIOS
 from cad_env.types import FRAMES, Graph
 from tests.cad_env.pipeline.test_codec import GOLDEN, golden_graph, scene
@@ -24,8 +25,10 @@ def sent(**options) -> Iterator[bytes]:
             yield air.payload[slot, v, : air.length[slot, v]].tobytes()
 
 
-def agree(message: Message, graph: Graph) -> None:
+def agree(message: Message, read: tuple[Graph, np.ndarray | None]) -> None:
     """Both read the same."""
+    graph, places = read
+    assert message.empty == (None if places is None else without_last_empty(intervals_of(places)))
     assert (message.sender, message.time_ms) == (graph.sender, round(1000 * graph.time))
     assert [(track.id, track.kind) for track in message.tracks] == list(
         zip(graph.track.tolist(), graph.kind.tolist(), strict=True)
@@ -37,27 +40,32 @@ def agree(message: Message, graph: Graph) -> None:
         assert np.array(list(track.nodes.values())).tolist() == centimetres.tolist()
 
 
+def without_last_empty(lanes: list[list[tuple[int, int]]]) -> list[list[tuple[int, int]]]:
+    """The lanes up to the last one with an interval."""
+    return lanes[: max((b + 1 for b, lane in enumerate(lanes) if lane), default=0)]
+
+
 @pytest.mark.parametrize("scenario", SCENARIOS)
-@pytest.mark.parametrize("depth", [3, FRAMES])
-def test_hundreds_of_real_messages_are_read_alike(scenario: str, depth: int) -> None:
-    messages = list(sent(scenario=scenario, depth=depth, sensor={"miss": 0.3}))
+@pytest.mark.parametrize(("depth", "coverage"), [(3, False), (FRAMES, False), (3, True)])
+def test_hundreds_of_real_messages_are_read_alike(scenario: str, depth: int, coverage: bool) -> None:
+    messages = list(sent(scenario=scenario, depth=depth, sensor={"miss": 0.2}, coverage=coverage))
     assert len(messages) > 150
     tracks = 0
     for payload in messages:
         message = decode_graph(payload)
-        agree(message, decode(payload))
+        agree(message, decode_with_places(payload))
         assert message.depth == depth
         tracks += len(message.tracks)
     assert tracks > 3 * len(messages)
 
 
 def test_the_worked_example_and_the_rule_for_heights_are_read_alike() -> None:
-    agree(decode_graph(bytes.fromhex(GOLDEN)), golden_graph())
+    agree(decode_graph(bytes.fromhex(GOLDEN)), (golden_graph(), None))
     walk = bytes.fromhex("d21802410a")
     payload = with_crc(bytes.fromhex("4347010f01010700dc050000") + bytes([0, 15, 0]) + walk + bytes(4) + bytes(1))
     message = decode_graph(payload)
     assert [x for x, _, _ in message.tracks[0].nodes.values()] == [1577, 1578, 1546, 1535]
-    agree(message, decode(payload))
+    agree(message, decode_with_places(payload))
 
 
 def test_what_is_spoilt_is_refused_by_both_or_read_alike_by_both() -> None:
@@ -65,21 +73,21 @@ def test_what_is_spoilt_is_refused_by_both_or_read_alike_by_both() -> None:
     good = [bytes.fromhex(GOLDEN), *(payload for payload in sent(scenario="left_turn"))][:40]
     bumpy = scene(tracks=2)
     bumpy.position[1, ::2, 2] += 0.01
-    good.append(encode(bumpy))
+    good += [encode(bumpy), *list(sent(scenario="overtaking", coverage=True))[:40]]
     for case in range(8000):
         body = bytearray(good[case % len(good)][:-4])
         for _ in range(rng.integers(1, 4)):
             body[rng.integers(len(body))] = rng.choice([0, 1, 2, 127, 128, 255, rng.integers(256)])
         payload = with_crc(bytes(body[: rng.integers(12, len(body) + 1)] if case % 5 == 0 else body))
         try:
-            graph = decode(payload)
+            read = decode_with_places(payload)
         except DecodeError:
             ends.add("refused")
             with pytest.raises(RefusedError):
                 decode_graph(payload)
             continue
         ends.add("read")
-        agree(decode_graph(payload), graph)
+        agree(decode_graph(payload), read)
     assert ends == {"refused", "read"}
 
 

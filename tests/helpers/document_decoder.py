@@ -30,6 +30,7 @@ class Message:
     sender: int
     time_ms: int
     tracks: list[Track]
+    empty: list[list[tuple[int, int]]] | None  # version 2: of each lane, its intervals [first place, one past the last)
 
 
 @dataclass
@@ -104,7 +105,8 @@ def decode_graph(payload: bytes) -> Message:
     reader = Reader(_sealed(payload, 16))
     _checked(reader.data[:2] == b"CG", "another magic")
     reader.fixed(2)
-    _checked(reader.fixed(1) == 1, "another version")
+    version = reader.fixed(1)
+    _checked(version in (1, 2), "another version")
     depth = reader.fixed(1)
     _checked(1 <= depth <= 15, "another depth")
     _checked(reader.fixed(1) == 1, "another resolution")
@@ -113,9 +115,25 @@ def decode_graph(payload: bytes) -> Message:
     for _ in range(count):
         first = tracks[0].nodes[min(tracks[0].nodes)] if tracks else (0, 0, 0)
         tracks.append(_track(reader, depth, first))
-    _checked(reader.at == len(reader.data), "goes on after the last track")
+    empty = _lanes(reader) if version == 2 else None
+    _checked(reader.at == len(reader.data), "goes on after its end")
     _checked(len({track.id for track in tracks}) == count, "an id is there twice")
-    return Message(depth, sender, time_ms, tracks)
+    return Message(depth, sender, time_ms, tracks, empty)
+
+
+def _lanes(reader: Reader) -> list[list[tuple[int, int]]]:
+    lanes: list[list[tuple[int, int]]] = []
+    count = reader.varint()
+    _checked(count <= 255, "more lanes than there can be")
+    for _ in range(count):
+        intervals: list[tuple[int, int]] = []
+        for _ in range(reader.varint()):
+            first = reader.varint() + (intervals[-1][1] + 1 if intervals else 0)
+            intervals.append((first, first + reader.varint() + 1))
+            _checked(intervals[-1][1] <= 128, "a place beyond the end of its lane")
+        lanes.append(intervals)
+    _checked(not lanes or bool(lanes[-1]), "a last lane without an interval")
+    return lanes
 
 
 def _track(reader: Reader, depth: int, first: tuple[int, int, int]) -> Track:

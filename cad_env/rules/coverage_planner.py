@@ -17,11 +17,24 @@ from cad_env.checks import ConfigError, check_numbers
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.pipeline.observe_lanes import LANE_FEATURES, LaneView, lane_view_at
-from cad_env.rules.planner import PlannerConfig, Rule, decide_on_view, seconds_for, stopping_distance
-from cad_env.types import BRAKE, GO, STEP, Floats, Ints, Observation
-from cad_env.world.drivers import MAX_ACCELERATION
+from cad_env.rules.planner import (
+    BEYOND,
+    HALF_LANE,
+    SLOWEST,
+    PlannerConfig,
+    Rule,
+    decide,
+    known_vehicles,
+    oncoming_stretch,
+    seconds_for,
+    stopping_distance,
+    way_of,
+)
+from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, Floats, Ints, Observation
+from cad_env.world.drivers import COMMANDED_BRAKING, MAX_ACCELERATION
+from cad_env.world.geometry import ALONG
 
-REACH, THROUGH, TIME = (LANE_FEATURES.index(name) for name in ("reach", "through", "time"))
+REACH, THROUGH, HIDDEN, TIME = (LANE_FEATURES.index(name) for name in ("reach", "through", "hidden", "time"))
 
 
 class Reserve(NamedTuple):
@@ -29,6 +42,7 @@ class Reserve(NamedTuple):
 
     short: float
     spare: float
+    watch: float
 
 
 @dataclass(frozen=True)
@@ -36,16 +50,17 @@ class CoverageConfig:
     """How the ego treats what nobody vouches for."""
 
     short: float = 1.0  # m before a lane, where it stops to wait
-    spare: float = 0.5  # s that must be left when it is through
+    spare: float = 0.3  # s that must be left when it is through
+    watch: float = 60.0  # m of a lane that must be vouched for, if the ego is to stand on it
     rules: PlannerConfig = field(default_factory=PlannerConfig)  # about the vehicles that it knows
 
     def __post_init__(self) -> None:
-        check_numbers(self, "", {"short": (0.0, 10.0), "spare": (0.0, 10.0)})
+        check_numbers(self, "", {"short": (0.0, 10.0), "spare": (0.0, 10.0), "watch": (0.0, 200.0)})
 
     @property
     def reserve(self) -> Reserve:
         """The compiled code's view."""
-        return Reserve(float(self.short), float(self.spare))
+        return Reserve(float(self.short), float(self.spare), float(self.watch))
 
 
 @compiled
@@ -56,32 +71,49 @@ def is_last_chance(reach: float, speed: float, short: float) -> bool:
 
 
 @compiled
-def must_wait(lanes: LaneView, ego: Floats, reserve: Reserve) -> bool:
+def is_quiet(lane: Floats, others: Floats, watch: float) -> bool:
+    """True for a lane (F,) that is vouched for `watch` m, on which none of `others` moves towards the conflict."""
+    if lane[HIDDEN] < watch:
+        return False
+    for k in range(others.shape[0]):
+        dx, dy = others[k, 0] - lane[0], others[k, 1] - lane[1]
+        before, beside = -(dx * lane[2] + dy * lane[3]), dy * lane[2] - dx * lane[3]
+        along = math.cos(others[k, 2]) * lane[2] + math.sin(others[k, 2]) * lane[3]
+        if others[k, 3] >= SLOWEST and along > ALONG and abs(beside) < HALF_LANE and 0.0 < before < BEYOND:
+            return False
+    return True
+
+
+@compiled
+def must_wait(lanes: LaneView, ego: Floats, others: Floats, reserve: Reserve) -> bool:
     """True if the ego (4,) must stop now for a lane that it would not be through in time.
 
-    Lanes so close behind each other that it cannot stop between them are one. A lane before which it can no longer
-    stop, and whatever is one with it, it leaves soonest by going.
+    On a quiet lane it may stand. Another lane that it can no longer stop before it leaves soonest by going, and it
+    enters no such lane if it would have to stop on it for the next one.
     """
-    bound, asked = -math.inf, -math.inf  # m along the way, up to which it drives anyway, or would if it goes now
+    bound, asked = -math.inf, -math.inf  # m along the way, up to which it must drive anyway, or if it goes now
     for k in range(lanes.lane_mask.shape[0]):
         if lanes.lane_mask[k] == 0:
             break
-        reach, through = lanes.lanes[k, REACH], lanes.lanes[k, THROUGH]
-        if reach < stopping_distance(ego[0]) or reach - reserve.short < bound:
-            bound = max(bound, through)
+        lane = lanes.lanes[k]
+        reach, until = lane[REACH], -math.inf if is_quiet(lane, others, reserve.watch) else lane[THROUGH]
+        if reach < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING) or reach - reserve.short < bound:
+            bound = max(bound, until)
         elif reach - reserve.short < asked or is_last_chance(reach, ego[0], reserve.short):
-            if seconds_for(ego, through) + reserve.spare > lanes.lanes[k, TIME]:
+            if seconds_for(ego, lane[THROUGH]) + reserve.spare > lane[TIME]:
                 return True
-            asked = max(asked, through)
+            asked = max(asked, until)
     return False
 
 
 @compiled
 def decide_on_lanes(view: View, lanes: LaneView, rule: Rule, reserve: Reserve) -> int:
     """The decision on an observation with coverage."""
-    if decide_on_view(view, rule) == BRAKE or must_wait(lanes, view.ego.astype(np.float64), reserve):
+    way, ego = way_of(view.route), view.ego.astype(np.float64)
+    others = known_vehicles(view, way)
+    if decide(way, ego, others, oncoming_stretch(view.oncoming, ROUTE_SPACING), rule) == BRAKE:
         return BRAKE
-    return GO
+    return BRAKE if must_wait(lanes, ego, others, reserve) else GO
 
 
 @compiled

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part, inlined_part
-from cad_env.types import FRAMES, STEP, TRUCK, Bytes, Floats, GraphArrays, Ints
+from cad_env.types import FRAMES, STEP, TRUCK, Bytes, GraphArrays, Ints
 from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
 
 NEVER = -1_000_000  # in place of the step of what is known of a lane
@@ -106,7 +106,7 @@ def note_known(hidden: Hidden, lanes: Lanes, route: int, merged: GraphArrays) ->
 
 @inlined_part
 def _motion(merged: GraphArrays, g: int) -> tuple[float, float, float, float, int, int]:
-    """The newest node of a row, m, its mean velocity, m/s, the age of that node and the frames that it is from, frames."""
+    """Where the newest node of a row is, m, its mean velocity, m/s, its age, and the frames since the oldest one."""
     newest, oldest = FRAMES - 1, 0
     while not merged.mask[g, newest] and newest > 0:
         newest -= 1

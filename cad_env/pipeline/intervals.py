@@ -55,7 +55,7 @@ def put_places(buffer: Bytes, at: int, chosen: Bytes) -> int:
 
 @compiled
 def take_places(buffer: Bytes, at: int, end: int, chosen: Bytes) -> int:
-    """Read what `put_places` writes into chosen (B, P); answers where the next value is, or the negative of a reason."""
+    """Read what `put_places` writes to chosen (B, P); answers where the next value is, or the negative of a reason."""
     chosen[:] = 0
     lanes, at = take_varint(buffer, at, end)
     if at < 0:

@@ -25,7 +25,7 @@ LANE_FEATURES = (
     "age",  # s since the newest of what is known of the lane
     "time",  # s until the front of a car from there could be at the conflict, at `speed`
     "speed",  # m/s that what is hidden may drive at
-    "phantom_x", "phantom_y", "phantom_cos", "phantom_sin",  # m, the foremost hidden place, and its lane there; or zeros
+    "phantom_x", "phantom_y", "phantom_cos", "phantom_sin",  # m, the foremost hidden place, its lane there; or zeros
 )  # fmt: skip
 
 
@@ -38,9 +38,7 @@ class LaneView(NamedTuple):
 
 def empty_lane_view(*lead: int) -> LaneView:
     """No lanes; leading dimensions stack views."""
-    return LaneView(
-        np.zeros((*lead, CONFLICTS, len(LANE_FEATURES)), np.float32), np.zeros((*lead, CONFLICTS), np.int8)
-    )
+    return LaneView(np.zeros((*lead, CONFLICTS, len(LANE_FEATURES)), np.float32), np.zeros((*lead, CONFLICTS), np.int8))
 
 
 def lane_spaces() -> dict[str, spaces.Space]:

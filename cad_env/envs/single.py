@@ -52,9 +52,9 @@ class CADEnv(CopiedWhole, HighwayBase):
     and the observation has the lanes on which somebody unseen may come), `traffic` (none, light or dense),
     `penetration` (share of the vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is
     drawn from), `object_lists` (True adds to info what each connected vehicle tracks), `layers` (names of what pictures
-    show over highway-env's view), `share` and `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a step,
-    cad_env.envs.rewards). By default the reward of a step is the share of the way to the goal covered in it, +1 on
-    arrival, -1 on a collision. What is written into `config` later counts from the next `reset` on.
+    show over highway-env's view), `share` and `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a
+    step, cad_env.envs.rewards). By default the reward of a step is the share of the way to the goal covered in it, +1
+    on arrival, -1 on a collision. What is written into `config` later counts from the next `reset` on.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})

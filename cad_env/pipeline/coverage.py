@@ -3,7 +3,7 @@
 A place is *seen* in a frame if a vehicle with its centre anywhere in it would be: the first of the five points that
 sensing asks for is the centre, and asking for it alone claims less than asking for all. A place is *vouched for* if it
 and all places in which a vehicle could have been that is in it now were seen in each of the newest frames, so many that
-the vehicle would be a track by now, and nothing that is known of is in it. Vehicles drive forwards, at most at TOP_SPEED.
+the vehicle would be a track by now, and nothing that is known of is in it. Vehicles drive forwards, up to TOP_SPEED.
 
 Everything is in the frame of the vehicle's own fix, as its detections are: a wrong fix vouches for places beside those
 that were seen.
@@ -24,7 +24,7 @@ from cad_env.world.state import OFF, World
 SLACK = 0.4  # m that the centre of a vehicle may be off the place that stands for it: every box is taken to be larger
 ON_LANE = 1.75  # m from the middle of a lane, within which what is there is on it
 OCCUPIED = 2.5  # m before and behind the centre of a known vehicle, in which no place is empty
-BODY = 3.0  # m before and behind its centre, where nobody else's can be: there a vehicle hides none but itself
+_BODY = 3.0  # m before and behind its centre, where nobody else's can be: there a vehicle hides none but itself
 UNKNOWN = 0.005  # of the vehicles that are in sight for so many frames, the share that may have no track
 
 
@@ -83,7 +83,7 @@ def outer_corners(world: World, outlines: Floats, corner: Floats) -> None:
 
 
 @compiled_part
-def look(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats, seen: Bytes,
+def look_at_lanes(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats, seen: Bytes,
          corner: Floats, near: Floats, row: Ints) -> None:  # fmt: skip
     """One frame of what an observer sees of all lanes, by its own fix `pose`: seen (B, F, P).
 
@@ -167,9 +167,9 @@ def _look_along(corner: Floats, near: Floats, row: Ints, count: int, eye: tuple[
         if high * b + height * a > radius * to_high:
             continue
         start, end = _shadow(corner[row[n]], line, sign, along, height)
-        body = along + (a - BODY if abs(b + height) < ON_LANE else math.inf)
+        body = along + (a - _BODY if abs(b + height) < ON_LANE else math.inf)
         for i in range(max(first, math.floor(start / size)), min(last, math.floor(min(end, length) / size) + 1)):
-            if not (i * size < body + 2.0 * BODY and (i + 1) * size > body):
+            if not (i * size < body + 2.0 * _BODY and (i + 1) * size > body):
                 seen[i] = 0
 
 

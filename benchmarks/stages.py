@@ -86,7 +86,7 @@ def _radio(scene):
             fleet.buffer[k] = fleet.air.payload[slot, v, k]
         place = scene.world.position[fleet.rows[v]]
         send(fleet.air, scene.link, step, v, fleet.buffer, size, place[0], place[1])
-    deliver(scene.world, fleet, scene.link, scene.keys[1], step)
+    deliver(scene.world, scene.lanes, fleet, scene.link, scene.keys[1], step)
 
 
 @numba.njit

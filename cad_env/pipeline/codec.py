@@ -186,8 +186,8 @@ def _take_graph(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> 
     for row in range(tracks):
         at = _take_track(buffer, at, end, rows, row, header[2], origin)
         if at < 0:
-            return at
-    return at
+            return int(at)
+    return int(at)
 
 
 @compiled_part

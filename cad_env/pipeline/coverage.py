@@ -2,8 +2,8 @@
 
 A place is *seen* in a frame if a vehicle with its centre anywhere in it would be: the first of the five points that
 sensing asks for is the centre, and asking for it alone claims less than asking for all. A place is *vouched for* if it
-and all places in which a vehicle could have been that is in it now were seen in each of the newest frames, so many as it
-takes to confirm a track, and nothing that the vehicle knows of is in it. Vehicles drive forwards, at most at TOP_SPEED.
+and all places in which a vehicle could have been that is in it now were seen in each of the newest frames, so many that
+the vehicle would be a track by now, and nothing that is known of is in it. Vehicles drive forwards, up to TOP_SPEED.
 
 Everything is in the frame of the vehicle's own fix, as its detections are: a wrong fix vouches for places beside those
 that were seen.
@@ -18,18 +18,18 @@ from cad_env.numerics.jit import compiled, compiled_part, inlined_part
 from cad_env.pipeline.sense import MOUNT, Sensing
 from cad_env.pipeline.track import BIRTH_HITS, Tracks
 from cad_env.types import FRAMES, Bytes, Floats, Ints
-from cad_env.world.lanes import PLACE, PLACES, Lanes
+from cad_env.world.lanes import PLACES, Lanes
 from cad_env.world.state import OFF, World
 
 SLACK = 0.4  # m that the centre of a vehicle may be off the place that stands for it: every box is taken to be larger
 ON_LANE = 1.75  # m from the middle of a lane, within which what is there is on it
 OCCUPIED = 2.5  # m before and behind the centre of a known vehicle, in which no place is empty
-BODY = 3.0  # m before and behind its centre, where nobody else's can be: there a vehicle hides none but itself
+_BODY = 3.0  # m before and behind its centre, where nobody else's can be: there a vehicle hides none but itself
 UNKNOWN = 0.005  # of the vehicles that are in sight for so many frames, the share that may have no track
 
 
 class Coverage(NamedTuple):
-    """What V vehicles have seen to be empty on B lanes of P places; F is the number of frames that confirm a track."""
+    """What V vehicles have seen to be empty on B lanes of P places; F frames make sure that a vehicle has a track."""
 
     seen: Bytes  # (V, B, F, P) 1 where a vehicle would have been seen in each of the newest 1, 2, ... F frames
     vouched: Bytes  # (V, B, P) 1 where there is none now
@@ -49,7 +49,7 @@ def new_coverage(vehicles: int, world: int, lanes: Lanes, miss: float) -> Covera
 
 
 def frames_needed(miss: float) -> int:
-    """Frames in sight, from BIRTH_HITS on, after which a vehicle has no track with at most UNKNOWN probability; 0: never.
+    """Frames in sight, BIRTH_HITS or more, after which at most UNKNOWN of all vehicles have no track; 0: never so few.
 
     What has a track, confirmed or not, is in no vouched place. Before it is confirmed two misses in a row end a track,
     and for a fast vehicle one right after the first detection begins it anew: its next detection is out of the gate.
@@ -61,7 +61,8 @@ def frames_needed(miss: float) -> int:
     none, once, once_missed, twice, twice_missed = 1.0, 0.0, 0.0, 0.0, 0.0  # probabilities; the rest is confirmed
     for frame in range(1, FRAMES + 1):
         none, once, once_missed, twice, twice_missed = (
-            miss * (none + once_missed + twice_missed), hit * (none + once_missed), miss * once, hit * once, miss * twice
+            miss * (none + once_missed + twice_missed), hit * (none + once_missed), miss * once, hit * once,
+            miss * twice,
         )  # fmt: skip
         if frame >= BIRTH_HITS and none <= UNKNOWN:
             return frame
@@ -70,7 +71,7 @@ def frames_needed(miss: float) -> int:
 
 @compiled
 def outer_corners(world: World, outlines: Floats, corner: Floats) -> None:
-    """Write the corners of every box, SLACK larger to every side, to corner (N, 4, 2); outlines from `sense.outline`."""
+    """Write the corners of all boxes, SLACK larger to every side, to corner (N, 4, 2); outlines as `sense.outline`."""
     for k in range(corner.shape[0]):
         cos, sin = outlines[k, 0], outlines[k, 1]
         along, across = 0.5 * world.size[k, 0] + SLACK, 0.5 * world.size[k, 1] + SLACK
@@ -82,7 +83,7 @@ def outer_corners(world: World, outlines: Floats, corner: Floats) -> None:
 
 
 @compiled_part
-def look(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats, seen: Bytes,
+def look_at_lanes(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats, seen: Bytes,
          corner: Floats, near: Floats, row: Ints) -> None:  # fmt: skip
     """One frame of what an observer sees of all lanes, by its own fix `pose`: seen (B, F, P).
 
@@ -166,9 +167,9 @@ def _look_along(corner: Floats, near: Floats, row: Ints, count: int, eye: tuple[
         if high * b + height * a > radius * to_high:
             continue
         start, end = _shadow(corner[row[n]], line, sign, along, height)
-        body = along + (a - BODY if abs(b + height) < ON_LANE else math.inf)
+        body = along + (a - _BODY if abs(b + height) < ON_LANE else math.inf)
         for i in range(max(first, math.floor(start / size)), min(last, math.floor(min(end, length) / size) + 1)):
-            if not (i * size < body + 2.0 * BODY and (i + 1) * size > body):
+            if not (i * size < body + 2.0 * _BODY and (i + 1) * size > body):
                 seen[i] = 0
 
 
@@ -226,5 +227,6 @@ def _occupy(piece: Floats, x: float, y: float, places: Bytes) -> None:
     if abs(dy * piece[2] - dx * piece[3]) > ON_LANE:
         return
     a, size = dx * piece[2] + dy * piece[3], piece[4] / places.shape[0]
-    for i in range(max(0, math.floor((a - OCCUPIED) / size)), min(places.shape[0], math.floor((a + OCCUPIED) / size) + 1)):
+    first, last = math.floor((a - OCCUPIED) / size), math.floor((a + OCCUPIED) / size)
+    for i in range(max(0, first), min(places.shape[0], last + 1)):
         places[i] = 0

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part, inlined_part
-from cad_env.types import FRAMES, STEP, TRUCK, Bytes, Floats, GraphArrays, Ints
+from cad_env.types import FRAMES, STEP, TRUCK, Bytes, GraphArrays, Ints
 from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
 
-NEVER = -1_000_000  # in place of the step of what is known of a lane
+NOT_YET = -1_000_000  # in place of the step of what is known of a lane
 ON_IT = 1.0  # m from the middle of a lane, within which a vehicle keeps others from passing it there
 HALF = (2.1, 4.0)  # m, half the length of the shortest car and truck that the scenes know
 STANDING_SPEED = 0.5  # m/s of a track of LONG frames or more, below which it is taken to stand
@@ -31,7 +31,7 @@ class Hidden(NamedTuple):
     """What R receivers do not know, of L lanes of P places each that their own ways meet, as `Lanes.other` has them."""
 
     places: Bytes  # (R, L, P) 1 where a vehicle may be
-    heard: Ints  # (R, L) int64 the newest step of which anything is known of a lane, NEVER for none
+    heard: Ints  # (R, L) int64 the newest step of which anything is known of a lane, NOT_YET for none
     wall: Bytes  # (R, L, P) 0 where nobody comes to a place from the one before it, else 1
     known: Bytes  # (R, L, P) UNDER or CLOSED by a known vehicle, else 0
 
@@ -41,7 +41,7 @@ def new_hidden(receivers: int, lanes: Lanes) -> Hidden:
     shape = (receivers, CONFLICTS if len(lanes.start) else 0)
     return Hidden(
         places=np.ones((*shape, PLACES), np.uint8),
-        heard=np.full(shape, NEVER, np.int64),
+        heard=np.full(shape, NOT_YET, np.int64),
         wall=np.ones((*shape, PLACES), np.uint8),
         known=np.zeros((*shape, PLACES), np.uint8),
     )
@@ -106,7 +106,7 @@ def note_known(hidden: Hidden, lanes: Lanes, route: int, merged: GraphArrays) ->
 
 @inlined_part
 def _motion(merged: GraphArrays, g: int) -> tuple[float, float, float, float, int, int]:
-    """The newest node of a row, m, its mean velocity, m/s, the age of that node and the frames that it is from, frames."""
+    """Where the newest node of a row is, m, its mean velocity, m/s, its age, and the frames since the oldest one."""
     newest, oldest = FRAMES - 1, 0
     while not merged.mask[g, newest] and newest > 0:
         newest -= 1

@@ -17,7 +17,7 @@ from cad_env.types import Bytes
 from cad_env.world.lanes import PLACES
 
 FORMAT_LANES = 255  # that the format can count
-BEYOND = 11  # a place is beyond the end of its lane
+BEYOND_LANE = 11  # a place is beyond the end of its lane
 NO_LANE = 12  # there are fewer lanes
 _EIGHT = 0x0101010101010101  # eight places that are all set
 NO_PLACE = 13  # the last lane has no place
@@ -55,7 +55,7 @@ def put_places(buffer: Bytes, at: int, chosen: Bytes) -> int:
 
 @compiled
 def take_places(buffer: Bytes, at: int, end: int, chosen: Bytes) -> int:
-    """Read what `put_places` writes into chosen (B, P); answers where the next value is, or the negative of a reason."""
+    """Read what `put_places` writes to chosen (B, P); answers where the next value is, or the negative of a reason."""
     chosen[:] = 0
     lanes, at = take_varint(buffer, at, end)
     if at < 0:
@@ -87,7 +87,7 @@ def _take_intervals(buffer: Bytes, at: int, end: int, places: Bytes, count: int)
         start = i + gap + (k > 0)
         i = start + more + 1
         if i > PLACES:
-            return -BEYOND
+            return -BEYOND_LANE
         for place in range(start, i):
             places[place] = 1
     return at

@@ -14,7 +14,7 @@ from cad_env.world.dynamics import place_on_route
 from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, TOP_SPEED, Lanes
 from cad_env.world.state import Routes
 
-BESIDE = 4.0  # m from the middle of a lane that comes towards it, within which the agent is beside it
+_BESIDE = 4.0  # m from the middle of a lane that comes towards it, within which the agent is beside it
 # The columns of `lanes`, in the agent's frame. The conflict is where the lane first takes up ground of the agent's way.
 LANE_FEATURES = (
     "x", "y",  # m, the conflict
@@ -25,7 +25,7 @@ LANE_FEATURES = (
     "age",  # s since the newest of what is known of the lane
     "time",  # s until the front of a car from there could be at the conflict, at `speed`
     "speed",  # m/s that what is hidden may drive at
-    "phantom_x", "phantom_y", "phantom_cos", "phantom_sin",  # m, the foremost hidden place, and its lane there; or zeros
+    "phantom_x", "phantom_y", "phantom_cos", "phantom_sin",  # m, the foremost hidden place, its lane there; or zeros
 )  # fmt: skip
 
 
@@ -38,12 +38,10 @@ class LaneView(NamedTuple):
 
 def empty_lane_view(*lead: int) -> LaneView:
     """No lanes; leading dimensions stack views."""
-    return LaneView(
-        np.zeros((*lead, CONFLICTS, len(LANE_FEATURES)), np.float32), np.zeros((*lead, CONFLICTS), np.int8)
-    )
+    return LaneView(np.zeros((*lead, CONFLICTS, len(LANE_FEATURES)), np.float32), np.zeros((*lead, CONFLICTS), np.int8))
 
 
-def lane_spaces() -> dict[str, spaces.Space]:
+def lane_spaces() -> dict[str, spaces.Box]:
     """The boxes of a LaneView."""
     return {
         "lanes": spaces.Box(-HORIZON, HORIZON, (CONFLICTS, len(LANE_FEATURES)), np.float32),
@@ -94,9 +92,9 @@ def _last_place(lanes: Lanes, route: int, k: int, b: int, pose: Floats) -> int:
     last = (lanes.exit[route, k] - lanes.start[b]) / PLACE
     if lanes.opposed[route, k]:
         arc, beside, _ = place_beside(lanes, b, pose[0], pose[1], pose[0], pose[1])
-        if beside < BESIDE:
+        if beside < _BESIDE:
             last = min(last, arc)
-    return min(max(math.floor(last), 0), PLACES - 1)
+    return int(min(max(math.floor(last), 0), PLACES - 1))
 
 
 @inlined_part

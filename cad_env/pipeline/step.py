@@ -7,7 +7,7 @@ import numpy as np
 from cad_env.numerics.jit import inlined_part
 from cad_env.pipeline.codec import DECODED as READ
 from cad_env.pipeline.codec import max_bytes, read, read_with_places, write, write_with_places
-from cad_env.pipeline.coverage import Coverage, look, new_coverage, outer_corners, vouch
+from cad_env.pipeline.coverage import Coverage, look_at_lanes, new_coverage, outer_corners, vouch
 from cad_env.pipeline.graph import add_body, add_track
 from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
 from cad_env.pipeline.hidden import Hidden, grow, hidden_at, new_hidden, note_known, take_out
@@ -213,7 +213,7 @@ def perceive(world: World, fleet: Fleet, v: int, sensor: Sensing, key: Ints, ste
 def cover(world: World, lanes: Lanes, fleet: Fleet, v: int, sensor: Sensing) -> None:
     """One frame of what one vehicle sees to be empty, after it has perceived what is there."""
     coverage, pose = fleet.coverage, fleet.trail[v, FRAMES - 1]
-    look(
+    look_at_lanes(
         world, fleet.outlines, lanes, fleet.rows[v], sensor, pose, coverage.seen[v], coverage.corner, coverage.near,
         fleet.near,
     )  # fmt: skip

@@ -74,7 +74,7 @@ def _conflict(routes: Routes, a: int, b: int) -> Conflict | None:
 
 
 def _pieces(routes: Routes, route: int, start: float, first: int) -> list[tuple[list[int], list[float]]]:
-    """([first place, one past the last], [x, y, cos, sin, length]) of straight pieces of whole places, as long as the lane lets them be."""
+    """([first place, one past the last], [x, y, cos, sin, length]) of straight pieces, as long as the lane lets."""
     found, place = [], first
     while place < PLACES:
         end = place + 1

@@ -42,7 +42,7 @@ class Setup:
             raise ValueError(f"codec must be None or have encode and decode (GraphCodec), got {self.codec!r}")
         check_switch("coverage", self.coverage)
         if self.coverage and (self.cloud is not None or self.exchanges_graphs):
-            raise ValueError("coverage is a part of the project's own messages: leave out cloud, share and codec with it")
+            raise ValueError("coverage is a part of the project's own messages: leave out cloud, share and codec")
         if self.cloud is not None and self.exchanges_graphs:
             raise ValueError("share and codec are for graphs: leave them out where points are shared (cloud)")
         Traffic(self.traffic, self.penetration)

@@ -1,4 +1,4 @@
-"""What nobody has seen is reckoned with: the hidden places of every receiver hold every vehicle on the lanes it meets."""
+"""What nobody has seen is reckoned with: a receiver's hidden places hold every vehicle on the lanes that it meets."""
 
 from typing import NamedTuple
 

@@ -22,7 +22,7 @@ from cad_env.pipeline.codec import (
     write_with_places,
 )
 from cad_env.pipeline.graph_arrays import empty_graph_arrays
-from cad_env.pipeline.intervals import BEYOND, FORMAT_LANES, NO_LANE, NO_PLACE, intervals_of, places_of
+from cad_env.pipeline.intervals import BEYOND_LANE, FORMAT_LANES, NO_LANE, NO_PLACE, intervals_of, places_of
 from cad_env.pipeline.varint import LONG_VARINT, TRUNCATED, crc32
 from cad_env.types import MAX_TRACKS, Bytes, GraphArrays
 from cad_env.world.lanes import PLACES
@@ -93,10 +93,10 @@ HEAD = bytes.fromhex("4347020f0101070040e20100") + bytes([0, 1, 0, 0, 0, 0])  # 
         ([1, 1, 0], TRUNCATED),
         ([1, 0], NO_PLACE),
         ([2, 1, 0, 0, 0], NO_PLACE),
-        ([1, 1, 127, 1], BEYOND),
-        ([1, 1, 0x80, 1, 0], BEYOND),
-        ([1, 2, 0, 126, 0, 0], BEYOND),
-        ([1, 1, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F], BEYOND),
+        ([1, 1, 127, 1], BEYOND_LANE),
+        ([1, 1, 0x80, 1, 0], BEYOND_LANE),
+        ([1, 2, 0, 126, 0, 0], BEYOND_LANE),
+        ([1, 1, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F], BEYOND_LANE),
         ([1, 0x80, 0, 0, 0], LONG_VARINT),
         ([0x80, 2], NO_LANE),
         ([0, 0], TRAILING),
@@ -168,7 +168,7 @@ def test_no_hurt_message_with_places_is_accepted_in_a_second_spelling(seal: bool
         noise = rng.integers(0, 256, (20_000, 12), dtype=np.uint8)
         assert attack(good, noise, seal, again, rows, places, met) == 0
     if seal:
-        assert met[[DECODED, TRUNCATED, LONG_VARINT, TRAILING, BEYOND, NO_LANE, NO_PLACE]].all()
+        assert met[[DECODED, TRUNCATED, LONG_VARINT, TRAILING, BEYOND_LANE, NO_LANE, NO_PLACE]].all()
 
 
 def test_the_longest_message_of_the_first_version_is_what_it_was() -> None:

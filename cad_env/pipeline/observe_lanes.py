@@ -7,11 +7,11 @@ import numpy as np
 from gymnasium import spaces
 
 from cad_env.numerics.jit import compiled_part, inlined_part
-from cad_env.pipeline.hidden import HALF, Hidden, foremost, place_beside
+from cad_env.pipeline.hidden import Hidden, foremost, place_beside
 from cad_env.pipeline.observe import HORIZON
 from cad_env.types import CAR, FRAMES, MAX_STEPS, STEP, Floats, Ints
 from cad_env.world.dynamics import place_on_route
-from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, TOP_SPEED, Lanes
+from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
 from cad_env.world.state import Routes
 
 _BESIDE = 4.0  # m from the middle of a lane that comes towards it, within which the agent is beside it
@@ -76,11 +76,11 @@ def observe_lanes(view: LaneView, hidden: Hidden, lanes: Lanes, routes: Routes, 
         row[4] = _clip(lanes.reach[route, k] - along - 0.5 * length)
         row[5] = _clip(lanes.through[route, k] - along + 0.5 * length)
         row[7] = min(STEP * (step - hidden.heard[k]), STEP * MAX_STEPS)
-        row[9] = TOP_SPEED
+        row[9] = lanes.limit[b]
         place = foremost(hidden.places[k], hidden.known[k], lanes.first[b], _last_place(lanes, route, k, b, pose))
         away = math.inf if place < 0 else lanes.entry[route, k] - (lanes.start[b] + (place + 1) * PLACE)
         row[6] = _clip(away)
-        row[8] = max(row[6] - HALF[CAR], 0.0) / TOP_SPEED
+        row[8] = lanes.soonest[route, k, place + 1] if place >= 0 else HORIZON / lanes.limit[b]
         if away < HORIZON:
             x, y, cos, sin = _at_place(lanes, b, place + 1)
             _put(row, 10, frame, x, y, cos, sin)

@@ -71,17 +71,36 @@ def is_last_chance(reach: float, speed: float, short: float) -> bool:
 
 
 @compiled
+def distance_on(lane: Floats, other: Floats) -> float:
+    """m before the conflict of a lane (F,), at which a vehicle (6,) that moves towards it on that lane is; inf: not."""
+    dx, dy = other[0] - lane[0], other[1] - lane[1]
+    before, beside = -(dx * lane[2] + dy * lane[3]), dy * lane[2] - dx * lane[3]
+    along = math.cos(other[2]) * lane[2] + math.sin(other[2]) * lane[3]
+    if other[3] < SLOWEST or along < ALONG or abs(beside) > HALF_LANE or not 0.0 < before < BEYOND:
+        return math.inf
+    return before
+
+
+@compiled
 def is_quiet(lane: Floats, others: Floats, watch: float) -> bool:
     """True for a lane (F,) that is vouched for `watch` m, on which none of `others` moves towards the conflict."""
     if lane[HIDDEN] < watch:
         return False
     for k in range(others.shape[0]):
-        dx, dy = others[k, 0] - lane[0], others[k, 1] - lane[1]
-        before, beside = -(dx * lane[2] + dy * lane[3]), dy * lane[2] - dx * lane[3]
-        along = math.cos(others[k, 2]) * lane[2] + math.sin(others[k, 2]) * lane[3]
-        if others[k, 3] >= SLOWEST and along > ALONG and abs(beside) < HALF_LANE and 0.0 < before < BEYOND:
+        if distance_on(lane, others[k]) < math.inf:
             return False
     return True
+
+
+@compiled
+def soonest_hidden(lane: Floats, others: Floats) -> float:
+    """s until who is hidden on a lane (F,) could be at the conflict: not before those known whom it has before it."""
+    time = lane[TIME]
+    for k in range(others.shape[0]):
+        before = distance_on(lane, others[k])
+        if before < lane[HIDDEN]:
+            time = max(time, before / others[k, 3])
+    return time
 
 
 @compiled
@@ -100,7 +119,7 @@ def must_wait(lanes: LaneView, ego: Floats, others: Floats, reserve: Reserve) ->
         if reach < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING) or reach - reserve.short < bound:
             bound = max(bound, until)
         elif reach - reserve.short < asked or is_last_chance(reach, ego[0], reserve.short):
-            if seconds_for(ego, lane[THROUGH]) + reserve.spare > lane[TIME]:
+            if seconds_for(ego, lane[THROUGH]) + reserve.spare > soonest_hidden(lane, others):
                 return True
             asked = max(asked, until)
     return False

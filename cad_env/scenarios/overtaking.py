@@ -21,6 +21,7 @@ SWING = 22.0  # m of road to change the lane on
 LEAVE = -4.5 - SWING  # m, where the ego begins to swing out: it is in the other lane 2 m before it reaches the truck
 RETURN = 18.5  # m, where it begins to swing back: 2 m past the longest truck
 _SLOW_START = 0.8  # of the wanted speed, the least the ego starts at
+ONCOMING_LIMIT = 15.0  # m/s, the most that `stream_speed` allows
 ASKED = 35.0  # m before it swings out, from where on its command is to change the lane
 # The body of a car is in the other lane from where its side crosses the middle of the road.
 ACROSS = SWING * (0.5 - math.asin(0.95 / (LANE / 2)) / math.pi)  # m after a swing begins
@@ -31,8 +32,8 @@ def two_way_network() -> RoadNetwork:
     network, here, there = RoadNetwork(), -LANE / 2, LANE / 2
     none, solid, dashed = LineType.NONE, LineType.CONTINUOUS_LINE, LineType.STRIPED
 
-    def straight(start: str, end: str, x: float, to: float, y: float, lines: list[int]) -> None:
-        network.add_lane(start, end, StraightLane([x, y], [to, y], LANE, lines))
+    def straight(start: str, end: str, x: float, to: float, y: float, lines: list[int], limit: float = 20.0) -> None:
+        network.add_lane(start, end, StraightLane([x, y], [to, y], LANE, lines, speed_limit=limit))
 
     def swing(start: str, end: str, x: float, side: float) -> None:
         lane = SineLane([x, 0.0], [x + SWING, 0.0], side * LANE / 2, math.pi / SWING, -math.pi / 2, LANE, [none, none])
@@ -43,7 +44,7 @@ def two_way_network() -> RoadNetwork:
     straight("asked", "leave", LEAVE - ASKED, LEAVE, here, [solid, none])
     straight("leave", "back", LEAVE, RETURN + SWING, here, [solid, none])
     straight("back", "east", RETURN + SWING, EAST, here, [solid, none])
-    straight("oncoming", "gone", EAST, WEST, there, [solid, dashed])
+    straight("oncoming", "gone", EAST, WEST, there, [solid, dashed], ONCOMING_LIMIT)
     swing("leave", "beside", LEAVE, 1.0)
     straight("beside", "return", LEAVE + SWING, RETURN, there, [none, none])
     swing("return", "back", RETURN, -1.0)
@@ -69,7 +70,7 @@ class OvertakingRanges(StreamRanges):
 
     ego_speed: Range = span(8.5, 10.5, within=(3.0, 15.0))  # m/s it wants to drive at
     ego_start: Range = span(35.0, 50.0, within=(30.0, 150.0))  # m before it would swing out
-    stream_speed: Range = span(10.0, 13.5, within=(8.0, 15.0))  # m/s of the oncoming stream
+    stream_speed: Range = span(10.0, 13.5, within=(8.0, ONCOMING_LIMIT))  # m/s of the oncoming stream
     platoon: tuple[int, int] = count(2, 4, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.4, 2.0, within=(1.0, 10.0))  # s from one to the next
     platoon_gap: Range = span(16.5, 20.5, within=(1.0, 60.0))  # s from a platoon to the next

@@ -47,7 +47,8 @@ class Map:
 
 @cache
 def _lanes(built: Map) -> Lanes:
-    return lanes_of(built.routes)
+    limits = [max(built.network.get_lane(lane).speed_limit for lane in plan.lanes) for plan in built.plans]
+    return lanes_of(built.routes, np.array(limits, np.float64))
 
 
 @cache

@@ -31,6 +31,8 @@ class Lanes(NamedTuple):
     entry: Floats  # (B, L) m along the other route, from where on a centre there is in the way of this one
     exit: Floats  # (B, L) m along the other route, up to where it is
     opposed: Ints  # (B, L) int8 1 where the other one comes towards this one, along it
+    limit: Floats  # (B,) m/s that nobody on a lane exceeds before its conflicts
+    soonest: Floats  # (B, L, P + 1) s from where place p of the other lane begins to `entry`, at the most that its bends allow
     conflict: Floats  # (B, L, 4) x, y (m) of the other lane at `entry`, cos and sin of its direction there
 
 
@@ -49,5 +51,7 @@ def empty_lanes() -> Lanes:
         entry=np.zeros(pairs),
         exit=np.zeros(pairs),
         opposed=np.zeros(pairs, np.int8),
+        limit=np.zeros(0),
+        soonest=np.zeros((*pairs, PLACES + 1)),
         conflict=np.zeros((*pairs, 4)),
     )

@@ -107,21 +107,21 @@ def soonest_hidden(lane: Floats, others: Floats) -> float:
 def must_wait(lanes: LaneView, ego: Floats, others: Floats, reserve: Reserve) -> bool:
     """True if the ego (4,) must stop now for a lane that it would not be through in time.
 
-    On a quiet lane it may stand. Another lane that it can no longer stop before it leaves soonest by going, and it
-    enters no such lane if it would have to stop on it for the next one.
+    It does not ask for a lane that it can no longer stop before. It enters one only if it need not stop on it for the
+    next one, unless it may stand there, because the lane is quiet.
     """
-    bound, asked = -math.inf, -math.inf  # m along the way, up to which it must drive anyway, or if it goes now
+    asked = -math.inf  # m along the way, up to which it must drive if it goes now
     for k in range(lanes.lane_mask.shape[0]):
         if lanes.lane_mask[k] == 0:
             break
         lane = lanes.lanes[k]
-        reach, until = lane[REACH], -math.inf if is_quiet(lane, others, reserve.watch) else lane[THROUGH]
-        if reach < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING) or reach - reserve.short < bound:
-            bound = max(bound, until)
-        elif reach - reserve.short < asked or is_last_chance(reach, ego[0], reserve.short):
+        if lane[REACH] < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING):
+            continue
+        if lane[REACH] - reserve.short < asked or is_last_chance(lane[REACH], ego[0], reserve.short):
             if seconds_for(ego, lane[THROUGH]) + reserve.spare > soonest_hidden(lane, others):
                 return True
-            asked = max(asked, until)
+            if not is_quiet(lane, others, reserve.watch):
+                asked = max(asked, lane[THROUGH])
     return False
 
 

@@ -6,12 +6,14 @@ from cad_env.checks import ConfigError, check_numbers, check_switch, did_you_mea
 from cad_env.types import COMMANDS, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
+WAY_AHEAD = (10.0, 20.0, 30.0, 45.0)  # m ahead along its way, where the ego looks how far that bends aside
+EGO_WAY = 1 + len(WAY_AHEAD)  # inputs of `ego_way`
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
 _LIMITS = {
     "commands": (COMMANDS, MOST_COMMANDS), "hidden": (1, 256), "heads": (1, 16), "head_width": (1, 64),
     "layers": (1, 8), "mlp_width": (1, 1024), "position_scale": (1e-4, 1.0), "attn_slope": (0.0, 1.0),
 }  # fmt: skip
-_SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
+_SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input", "ego_way")
 
 
 def _check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
@@ -51,6 +53,7 @@ class StGraphConfig:
     velocity: bool = False  # nodes carry their track's least-squares velocity over the window, the ego node its speed
     ego_speed: bool = False  # the ego's speed beside the command
     class_input: bool = False  # nodes say whether they are a truck
+    ego_way: bool = False  # every node carries the ego's speed and how far its way bends aside (WAY_AHEAD)
     commands: int = COMMANDS  # that its scenarios have; more than six where one brings its own
 
     def __post_init__(self) -> None:
@@ -70,4 +73,4 @@ class StGraphConfig:
     @property
     def node_inputs(self) -> int:
         """Numbers that a node carries: x, y, z and what the options add."""
-        return 3 + self.node_time + 2 * self.velocity + self.class_input
+        return 3 + self.node_time + 2 * self.velocity + self.class_input + EGO_WAY * self.ego_way

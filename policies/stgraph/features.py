@@ -56,6 +56,8 @@ def graph_tensors(observation: Mapping[str, Tensor], config: StGraphConfig, dtyp
     position = torch.where(mask, tracks[:, :used].permute(3, 1, 2, 0), 0).to(dtype)
     time = STEP * torch.arange(1 - mask.shape[1], 1, device=tracks.device, dtype=dtype)
     nodes, ego = _inputs(position, mask, time, observation, config)
+    kept = slice((len(time) - 1) % config.frame_stride, None, config.frame_stride)
+    nodes, position, mask, time = nodes[:, :, kept], position[:, :, kept], mask[:, kept], time[kept]
     temporal = _temporal(mask, time, config.temporal_edges) if config.temporal else None
     return GraphTensors(nodes, ego, _spatial(config.position_scale * position, mask), temporal)
 

@@ -31,13 +31,14 @@ class NodeList(NamedTuple):
 
 @compiled
 def list_graph(
-    tracks: Singles, mask: Ints, ego: Singles, told: Singles, relation: int, scale: float, velocity: bool
-) -> tuple[NodeList, Edges]:
+    tracks: Singles, mask: Ints, ego: Singles, told: Singles, relation: int, scale: float, velocity: bool,
+    stride: int,
+) -> tuple[NodeList, Edges]:  # fmt: skip
     """The graphs of tracks (B, K, T, 3) m, mask (B, K, T) and ego (B, 4), as one of its relations sees them.
 
-    told (B, W): what every node of a graph carries beside its own inputs.
+    told (B, W): what every node of a graph carries beside its own inputs; stride: every how many frames have nodes.
     """
-    nodes = _list(tracks, mask, ego, told, relation, scale, velocity)
+    nodes = _list(tracks, mask, ego, told, relation, scale, velocity, stride)
     edges = _link(nodes)
     _measure(nodes, edges, relation)
     return nodes, edges
@@ -45,8 +46,9 @@ def list_graph(
 
 @compiled_part
 def _list(
-    tracks: Singles, mask: Ints, ego: Singles, told: Singles, relation: int, scale: float, velocity: bool
-) -> NodeList:
+    tracks: Singles, mask: Ints, ego: Singles, told: Singles, relation: int, scale: float, velocity: bool,
+    stride: int,
+) -> NodeList:  # fmt: skip
     """Frame by frame or, for temporal edges, track by track."""
     B, K, T = mask.shape
     own = 5 if velocity else 3
@@ -58,7 +60,7 @@ def _list(
         for g in range(groups):
             for m in range(K + T - groups):
                 k, t = (m, g) if relation == SPATIAL else (g, m)
-                if mask[b, k, t] != 0:
+                if mask[b, k, t] != 0 and (T - 1 - t) % stride == 0:
                     group[n], time[n] = g, STEP * (t - (T - 1))
                     for axis in range(3):
                         inputs[n, axis] = scale * np.float64(tracks[b, k, t, axis])

@@ -19,7 +19,7 @@ from cad_env.checks import check_numbers, check_path, check_seed, check_several,
 from cad_env.config import radio_config
 from policies.training.config import STEPS, TrainingConfig
 
-MAIN_METHODS = ("stgraph", "stgraph-own")
+MAIN_METHODS = ("stgraph-motion", "stgraph-motion-own")
 # Scored beside them; best-blind as far as it was chosen.
 REFERENCE_METHODS = ("always-go", "always-brake", BEST_BLIND, "planner-own", "planner-shared", "expert")
 # The others are those of the training config that they make; only `steps` would be rounded up to what it takes.

@@ -11,9 +11,19 @@ EGO_WAY = 1 + len(WAY_AHEAD)  # inputs of `ego_way`
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
 _LIMITS = {
     "commands": (COMMANDS, MOST_COMMANDS), "hidden": (1, 256), "heads": (1, 16), "head_width": (1, 64),
-    "layers": (1, 8), "mlp_width": (1, 1024), "frame_stride": (1, FRAMES), "position_scale": (1e-4, 1.0), "attn_slope": (0.0, 1.0),
+    "layers": (1, 8), "mlp_width": (1, 1024), "position_scale": (1e-4, 1.0), "attn_slope": (0.0, 1.0),
+    "frame_stride": (1, FRAMES),
 }  # fmt: skip
-_SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input", "ego_way")
+_SWITCHES = (
+    "edge_attributes",
+    "temporal",
+    "node_time",
+    "relu_logits",
+    "velocity",
+    "ego_speed",
+    "class_input",
+    "ego_way",
+)
 
 
 def _check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
@@ -67,7 +77,13 @@ class StGraphConfig:
             self._refuse_what_needs_time()
 
     def _refuse_what_needs_time(self) -> None:
-        for name, idle in (("node_time", False), ("velocity", False), ("fusion", "last"), ("temporal_edges", "all")):
+        for name, idle in (
+            ("node_time", False),
+            ("velocity", False),
+            ("fusion", "last"),
+            ("temporal_edges", "all"),
+            ("frame_stride", 1),
+        ):
             if getattr(self, name) != idle:
                 raise ValueError(f"network {name} must be {idle!r} when temporal is False, got {getattr(self, name)!r}")
 

@@ -31,7 +31,7 @@ class NodeList(NamedTuple):
 
 @compiled
 def list_graph(
-    tracks: Singles, mask: Ints, ego: Singles, told: Singles, relation: int, scale: float, velocity: bool,
+    tracks: Singles, mask: Ints, ego: Singles, told: Floats, relation: int, scale: float, velocity: bool,
     stride: int,
 ) -> tuple[NodeList, Edges]:  # fmt: skip
     """The graphs of tracks (B, K, T, 3) m, mask (B, K, T) and ego (B, 4), as one of its relations sees them.
@@ -46,7 +46,7 @@ def list_graph(
 
 @compiled_part
 def _list(
-    tracks: Singles, mask: Ints, ego: Singles, told: Singles, relation: int, scale: float, velocity: bool,
+    tracks: Singles, mask: Ints, ego: Singles, told: Floats, relation: int, scale: float, velocity: bool,
     stride: int,
 ) -> NodeList:  # fmt: skip
     """Frame by frame or, for temporal edges, track by track."""

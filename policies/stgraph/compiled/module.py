@@ -134,11 +134,11 @@ def _batch(observation: Mapping[str, NDArray[Any]], config: StGraphConfig) -> Gr
     )
 
 
-def _told(observation: Mapping[str, NDArray[Any]], config: StGraphConfig) -> NDArray[np.float32]:
+def _told(observation: Mapping[str, NDArray[Any]], config: StGraphConfig) -> Floats:
     if not config.ego_way:
-        return np.zeros((len(observation["mask"]), 0), np.float32)
+        return np.zeros((len(observation["mask"]), 0))
     read = {key: torch.from_numpy(np.ascontiguousarray(observation[key])) for key in ("ego", "route")}
-    return np.ascontiguousarray(ego_way(read, torch.float32).T.numpy())
+    return np.ascontiguousarray(ego_way(read, torch.float64).T.numpy())
 
 
 def _parts(batch: GraphBatch) -> Iterator[GraphBatch]:

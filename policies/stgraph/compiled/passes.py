@@ -24,7 +24,7 @@ class GraphBatch(NamedTuple):
     tracks: Singles  # (B, K, T, 3) m
     mask: Ints  # (B, K, T) int8
     ego: Singles  # (B, 4) the first is the speed, m/s
-    told: Singles  # (B, W) what every node is told: W is 0 without `ego_way`
+    told: Floats  # (B, W) what every node is told: W is 0 without `ego_way`
 
 
 class Weights(NamedTuple):

@@ -45,7 +45,7 @@ class TrainSettings:
     steps: int = TrainingConfig.steps  # optimiser steps of the first round; later rounds take half as many
     validation: int = TrainingConfig.validation  # closed-loop episodes per scenario after each third of a round
     seed: tuple[int, ...] = (0,)  # of training; with several, each method is trained once from each
-    score: int = 300  # episodes per method and scenario at the end; 0 trains only
+    score: int = 200  # episodes per method and scenario at the end; 0 trains only
     jobs: int = 2  # processes
     velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
 

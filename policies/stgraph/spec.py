@@ -104,8 +104,8 @@ class StGraphSpec(SpecDefaults):
         position = observation["tracks"].reshape(-1, 3)[slot]
         rounded = np.rint(position / CENTIMETRE).astype(np.int16)
         aside = np.rint(observation["route"][list(WAY_POINTS), 1] / CENTIMETRE).astype(np.int16)
-        told = (observation[name] for name in ("command", "ego", "kind"))
-        return SeenGraph(slot.astype(np.uint8), rounded, *told, aside)
+        command, ego, kind = (observation[name] for name in ("command", "ego", "kind"))
+        return SeenGraph(slot.astype(np.uint8), rounded, command, ego, kind, aside)
 
     def frames(self, looks: Sequence[SeenGraph], labels: Sequence[int]) -> GraphFrames:
         """All graphs in one record."""

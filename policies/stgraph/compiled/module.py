@@ -143,7 +143,8 @@ def _told(observation: Mapping[str, NDArray[Any]], config: StGraphConfig) -> Flo
 
 def _parts(batch: GraphBatch) -> Iterator[GraphBatch]:
     for at in range(0, max(len(batch.mask), 1), _AT_ONCE):
-        yield GraphBatch(*(array[at : at + _AT_ONCE] for array in batch))
+        part = slice(at, at + _AT_ONCE)
+        yield GraphBatch(batch.tracks[part], batch.mask[part], batch.ego[part], batch.told[part])
 
 
 def _weights(network: StGraphNet) -> list[Tensor]:

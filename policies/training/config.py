@@ -56,7 +56,7 @@ class TrainingConfig:
     dagger_rounds: int = 2  # the network drives, the expert labels
     dagger_episodes: int = 256  # in each DAgger round
     mixing: float = 0.0  # share of the decisions that the expert takes in the first DAgger round; of the n-th: to the n
-    steps: int = 3600  # optimiser steps of the first round; half as many in each later one
+    steps: int = 3000  # optimiser steps of the first round; half as many in each later one
     segments: int = 3  # parts of a round; a checkpoint and a validation after each
     validation: int = 40  # episodes after each segment
     final_validation: int = 100  # episodes for each of the best checkpoints and thresholds

@@ -36,5 +36,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return stopped(error)
     say(table(rows))
-    say("\nalways-go knows nothing, stgraph-own what it sees, stgraph what it sees and is sent, expert the truth.")
+    say(f"\nIn every episode: {settings.met().words}.")
+    say("always-go knows nothing, stgraph-own what it sees, stgraph what it sees and is sent, expert the truth.")
     return 0

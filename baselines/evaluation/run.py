@@ -13,7 +13,7 @@ from baselines.controls.names import BEST_BLIND, best_control, is_control
 from baselines.evaluation.grid import Task
 from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
-from baselines.evaluation.settings import HAZARDS, Settings
+from baselines.evaluation.settings import HAZARDS, OF_CONDITIONS, Settings
 from baselines.evaluation.store import Store, key_of
 from baselines.folder_note import MAY_DIFFER
 from baselines.methods import method_named
@@ -38,7 +38,7 @@ def opened_store(settings: Settings) -> Store:
     prefer_one_thread()
     for scenario in settings.scenarios():
         for name in settings.method:
-            job_of(settings, scenario, name)
+            job_of(settings, scenario, name, settings.conditions()[0])
     return Store(settings.folder(), identity(settings))
 
 
@@ -69,15 +69,12 @@ def _drive_missing(settings: Settings, store: Store, advance: Callable[[int], ob
 
 def identity(settings: Settings) -> dict[str, Any]:
     """Everything that the episodes depend on: settings, models, code of the scenes; with the command, as a note."""
-    names = (
-        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
-        "collaborators", "depth", "threshold",
-    )  # fmt: skip
     digests = {name: digest_of_method(settings, name) for name in settings.method}
     return {
         "scenario": list(settings.scenarios()),
         "method": list(settings.method),
-        **{name: getattr(settings, name) for name in names},
+        **{name: _setting(settings, name) for name in _NOTED if not settings.condition or name not in OF_CONDITIONS},
+        **_conditions(settings),
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
         **{f"{_what_decides(name)} of {name}": digest for name, digest in digests.items() if digest is not None},
         **_choice(settings),
@@ -87,6 +84,22 @@ def identity(settings: Settings) -> dict[str, Any]:
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
     }
+
+
+_NOTED = (
+    "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
+    "collaborators", "depth", "threshold",
+)  # fmt: skip
+
+
+def _setting(settings: Settings, name: str) -> Any:
+    return settings.met().traffic if name == "traffic" else getattr(settings, name)
+
+
+def _conditions(settings: Settings) -> dict[str, Any]:
+    """What each named condition sets."""
+    found = {name: settings.met(name).settings for name in settings.condition}
+    return {"condition": found} if found else {}
 
 
 def _what_decides(name: str) -> str:
@@ -108,7 +121,7 @@ def digest_of(settings: Settings) -> str:
 
 def _missing(settings: Settings, store: Store) -> list[Task]:
     rest = [
-        task._replace(seeds=[seed for *_, seed in task.episodes() if (*task[:2], seed) not in store.records])
+        task._replace(seeds=[key[-1] for key in task.episodes() if key not in store.records])
         for task in settings.tasks()
     ]
     return [task for task in rest if task.seeds]
@@ -116,10 +129,11 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
 
 def drive_task(settings: Settings, task: Task) -> Iterator[Record]:
     """The records of one method on some seeds of one scenario, as the episodes end."""
-    job = job_of(settings, task.scenario, task.method)
+    job = job_of(settings, task.scenario, task.method, task.condition)
     side_by_side = min(_ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
     envs = CADVectorEnv(side_by_side, **job.options)
-    return map(record_of, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
+    episodes = rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard])
+    return (record_of(episode, task.condition) for episode in episodes)
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-
 COMPARED = ("stgraph", "collab-gat", "compressed")  # whose robustness is shown
 GRAPH = ("stgraph",)
 SWEPT_EPISODES = 200  # of each scene and method at a point, at least, in a full run

@@ -40,11 +40,12 @@ INTRODUCTION = """In each episode the ego has to cross the way of vehicles that 
 second: go or brake. In a hazard one of them would hit an ego that never brakes. Connected vehicles send what they
 see over a radio; methods differ in what they know and in how they decide."""
 LEGEND = """Rates are in per cent with their 95 % Wilson interval. Hazard: all episodes, those with a hazard (yes), or
-without (no). Time lost: how much later than the expert it arrives on the same seed, its mean and its 90th percentile
-with their 95 % intervals; who waits until time is up has lost the time up to then, and a collision has no time. Time:
-mean until the outcome; of successes alone with its 95 % interval, which without a hazard is the calm time. Bytes: of a message on average, of the largest, and in a second by all connected vehicles
-together. Min TTC: the smallest time to contact with anybody in any episode. Needless brakes: share of the episodes
-without a hazard in which it brakes at all."""
+without (no). Time lost: how much later than the expert it arrives on the same seed, its mean and its 90th
+percentile with their 95 % intervals; who waits until time is up has lost the time up to then, and a
+collision has no time. Time: mean until the outcome; of successes alone with its 95 % interval, which
+without a hazard is the calm time. Bytes: of a message on average, of the largest, and in a second by all
+connected vehicles together. Min TTC: the smallest time to contact with anybody in any episode. Needless
+brakes: share of the episodes without a hazard in which it brakes at all."""
 
 
 def html_page(

@@ -18,10 +18,10 @@ from cad_env.scoring.scorecard import Scorecard
 _SPREAD = 0.36  # of a step, over which methods stand beside each other
 WITNESSED = "witness\nalways"  # the label of the guaranteed one
 CAPTION = (
-    f"Full points and lines: at most {100 * SAFE:g} % collisions, so that they may be compared. Hollow points and dotted "
-    "lines: more collisions than that; such a success or time is bought with safety. Bars: 95 % intervals. Calm time: "
-    "mean time of the episodes without a hazard in which the ego arrives. Each vehicle but the hidden ones is connected "
-    "by itself with that probability; at 0 % the ego is alone. Steps are not to scale."
+    f"Full points and lines: at most {100 * SAFE:g} % collisions, so that they may be compared. Hollow points and "
+    "dotted lines: more collisions than that; such a success or time is bought with safety. Bars: 95 % intervals. Calm "
+    "time: mean time of the episodes without a hazard in which the ego arrives. Each vehicle but the hidden ones is "
+    "connected by itself with that probability; at 0 % the ego is alone. Steps are not to scale."
 )
 _USUAL = CONDITIONS["nominal"]
 
@@ -81,12 +81,11 @@ def _success(rows: Sequence[Scorecard]) -> _Points:
 
 
 def _calm_time(rows: Sequence[Scorecard]) -> _Points:
-    found = {
-        row.condition: (row.mean_time_success, row.mean_time_success_low, row.mean_time_success_high)
+    return {
+        row.condition: (row.mean_time_success, row.mean_time_success_low or 0.0, row.mean_time_success_high or 0.0)
         for row in rows
-        if row.hazard == "no"
+        if row.hazard == "no" and row.mean_time_success is not None  # then the interval is known too
     }
-    return {each: (time, low, high) for each, (time, low, high) in found.items() if None not in (time, low, high)}
 
 
 def _draw(
@@ -105,7 +104,7 @@ def _draw(
 
 def _legend(names: Sequence[str], knows: Knows) -> list[Line2D]:
     """The methods, then what full and hollow say."""
-    plain = {"color": INK, "marker": "o"}
+    plain: dict[str, Any] = {"color": INK, "marker": "o"}
     return [
         *(Line2D([], [], label=name, **look(name, knows)) for name in names),
         Line2D([], [], linestyle="-", label=f"≤ {100 * SAFE:g} % collisions", **plain),

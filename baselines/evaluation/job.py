@@ -101,6 +101,8 @@ def _job(settings: Settings, scenario: str, name: str, condition: str | None, _:
     options["depth"] = min(settings.depth, method.depth)
     if not method.shares:
         options["radio"] = RADIO_PRESETS["none"]
+        if condition is not None:  # whoever else is connected has nothing to say to it
+            options |= {"penetration": 0.0, "ranges": {}}
     if method.make_policy is not None:
         return Job(scenario, method, radio, options, method.make_policy(scenario))
     from cad_env.scenarios import scenario_named

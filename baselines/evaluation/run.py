@@ -2,15 +2,15 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
 from baselines.cli import Progress
 from baselines.controls.names import BEST_BLIND, best_control, is_control
-from baselines.evaluation.grid import Task
+from baselines.evaluation.grid import Key, Task
 from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
 from baselines.evaluation.settings import HAZARDS, OF_CONDITIONS, Settings
@@ -60,11 +60,34 @@ def completed(settings: Settings, store: Store, advance: Callable[[int], object]
 
 
 def _drive_missing(settings: Settings, store: Store, advance: Callable[[int], object]) -> None:
-    with closing(_driven(settings, _missing(settings, store))) as finished:
+    wanted = [key for task in settings.tasks() for key in task.episodes()]
+    twin = _twins(settings, wanted)
+    with closing(_driven(settings, _missing(settings, store, twin))) as finished:
         for records in finished:
             if new := [record for record in records if key_of(record) not in store.records]:
                 store.append(new)
                 advance(len(new))
+    known = {key: store.records.get(twin[key]) for key in wanted if key in twin and key not in store.records}
+    copies = [replace(record, condition=key[0]) for key, record in known.items() if record is not None]
+    store.append(copies)
+    advance(len(copies))
+
+
+def _twins(settings: Settings, wanted: Sequence[Key]) -> dict[Key, Key]:
+    """Episodes that need not be driven -> another of this run that is the same but for the name of its condition.
+
+    A method that shares nothing meets a condition in its traffic only, so it drives once for each density.
+    """
+    first: dict[tuple[str, str, str, int], Key] = {}
+    twins: dict[Key, Key] = {}
+    traffic = {name: settings.met(name).traffic for name in settings.conditions()}
+    for condition, scenario, method, seed in wanted:
+        key = condition, scenario, method, seed
+        if not method_named(method).shares:
+            same = first.setdefault((traffic[condition], scenario, method, seed), key)
+            if same != key:
+                twins[key] = same
+    return twins
 
 
 def identity(settings: Settings) -> dict[str, Any]:
@@ -119,9 +142,10 @@ def digest_of(settings: Settings) -> str:
     return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
 
 
-def _missing(settings: Settings, store: Store) -> list[Task]:
+def _missing(settings: Settings, store: Store, twins: Mapping[Key, Key]) -> list[Task]:
+    """What is still to be driven."""
     rest = [
-        task._replace(seeds=[key[-1] for key in task.episodes() if key not in store.records])
+        task._replace(seeds=[key[-1] for key in task.episodes() if key not in store.records and key not in twins])
         for task in settings.tasks()
     ]
     return [task for task in rest if task.seeds]

@@ -49,7 +49,8 @@ def completed(settings: Settings, store: Store, advance: Callable[[int], object]
     """
     keys = [key for task in settings.tasks() for key in task.episodes()]
     if advance is None:
-        with Progress(len(keys), "scoring", len(store.records)) as bar:
+        to_drive = sum(len(task.seeds) for task in _missing(settings, store, _twins(settings, keys)))
+        with Progress(len(store.records) + to_drive, "scoring", len(store.records)) as bar:
             _drive_missing(settings, store, bar.update)
     else:
         _drive_missing(settings, store, advance)
@@ -70,7 +71,6 @@ def _drive_missing(settings: Settings, store: Store, advance: Callable[[int], ob
     known = {key: store.records.get(twin[key]) for key in wanted if key in twin and key not in store.records}
     copies = [replace(record, condition=key[0]) for key, record in known.items() if record is not None]
     store.append(copies)
-    advance(len(copies))
 
 
 def _twins(settings: Settings, wanted: Sequence[Key]) -> dict[Key, Key]:

@@ -44,21 +44,17 @@ def worth_of_sharing(rows: Sequence[Scorecard], knows: Knows, steps: Mapping[str
     """Rows of all kinds of episodes; methods that know nothing are left out."""
     seen = [row for row in rows if row.condition in steps and knows.get(row.method, KNOWS_NOTHING) != KNOWS_NOTHING]
     names, scenarios = names_in(seen), scenarios_in(seen)
-    figure, (successes, times) = panels(scenarios, 2, 5.6, sharex=True)
+    figure, (successes, times) = panels(scenarios, 2, 5.6, sharex=True, sharey="row")
     for scenario in scenarios:
         for number, name in enumerate(names):
             mine = [row for row in seen if (row.scenario, row.method) == (scenario, name)]
             safe = {row.condition for row in mine if row.hazard == "all" and row.collision_rate <= SAFE}
             beside = _SPREAD * (number / max(len(names) - 1, 1) - 0.5)
             for axes, points in ((successes[scenario], _success(mine)), (times[scenario], _calm_time(mine))):
-                _draw(
-                    axes,
-                    {each: points[each] for each in steps if each in points},
-                    steps,
-                    beside,
-                    safe,
-                    look(name, knows),
-                )
+                _draw(axes, points, steps, beside, safe, look(name, knows))
+        for axes in (successes[scenario], times[scenario]):
+            if WITNESSED in steps.values():
+                axes.axvline(len(steps) - 1.5, color="#888888", linewidth=0.8)
         successes[scenario].set_ylim(-3, 103)
         times[scenario].set_xticks(range(len(steps)), list(steps.values()), fontsize=8.5)
         times[scenario].set_xlabel("share of the vehicles that is connected")
@@ -92,14 +88,14 @@ def _draw(
     axes: Axes, points: _Points, steps: Mapping[str | None, str], beside: float, safe: set[str | None], looks: Any
 ) -> None:
     """The points of one method, joined from step to step of the penetration."""
-    places = {each: place + beside for place, each in enumerate(steps)}
-    for one, other in pairwise(each for each in points if steps[each] != WITNESSED):
+    places = {each: place + beside for place, each in enumerate(steps) if each in points}
+    for one, other in pairwise(each for each in places if steps[each] != WITNESSED):
         ends = [places[one], places[other]], [points[one][0], points[other][0]]
         axes.plot(*ends, color=looks["color"], linestyle="-" if {one, other} <= safe else ":", linewidth=1.3)
-    for each, point in points.items():
+    for each, place in places.items():
         face = {} if each in safe else {"markerfacecolor": "#ffffff"}
-        looks_here = {**looks, "markersize": 5.5, **face}
-        axes.errorbar(places[each], point[0], yerr=arms(*point, scale=1.0), elinewidth=0.8, **looks_here)
+        here = {**looks, "markersize": 5.5, **face}
+        axes.errorbar(place, points[each][0], yerr=arms(*points[each], scale=1.0), elinewidth=0.8, **here)
 
 
 def _legend(names: Sequence[str], knows: Knows) -> list[Line2D]:

@@ -49,7 +49,7 @@ def witnesses(scenario: Scenario, count: int) -> list[tuple[int, ...]]:
 
 
 def counts(drawn: Sequence[Scene], witnessed: Sequence[tuple[int, ...]]) -> dict[str, Count]:
-    """By vehicle: each row (those behind the hidden stream by their place behind it), the first and the last witness."""
+    """By vehicle: each row, those behind the hidden stream by their place behind it; the first and the last witness."""
     found: dict[str, Count] = {}
     for scene, rows in zip(drawn, witnessed, strict=True):
         assert scene.connected[0] == EGO

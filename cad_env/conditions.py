@@ -15,7 +15,7 @@ from cad_env.scenarios.ranges import Traffic
 
 EVERY_CONDITION = "all"  # the word for all of CONDITIONS
 WITNESS = "a witness is always connected"
-SILENT = "nobody but the ego is connected"
+NOBODY = "nobody but the ego is connected"
 _WORDS = ("name", "reason")  # fields that change nothing about an episode
 _RADIO = ("loss", "burst", "delay")
 
@@ -84,7 +84,7 @@ class Condition:
 
     def _connected(self) -> str:
         if 0 in (self.penetration, self.collaborators):
-            return SILENT
+            return NOBODY
         if self.penetration is not None:
             return f"each vehicle connected by itself with probability {self.penetration:g}"
         if self.collaborators is None:

@@ -15,7 +15,7 @@ from baselines.methods import KNOWS_NOTHING
 from baselines.plot_style import INK, VERMILION
 from cad_env.scoring.scorecard import Scorecard
 
-SAFE = 0.01  # collision rate up to which a method counts as safe
+SAFE_RATE = 0.01  # collision rate up to which a method counts as safe
 _SHADES = LinearSegmentedColormap.from_list("worse", ["#ffffff", VERMILION])
 _CELL = 0.52, 0.26  # inches
 
@@ -52,7 +52,7 @@ def _matrix(scenario: str, rows: Sequence[Scorecard], knows: Knows) -> Plot:
     size = 1.8 + 3 * (0.3 + _CELL[0] * len(methods)), 1.6 + _CELL[1] * len(conditions)
     figure = Figure(size, layout=ConstrainedLayoutEngine(wspace=0.04))
     grid = figure.subplots(1, len(MEASURES), sharey=True, squeeze=False)[0]
-    unsafe = {(row.condition, row.method) for row in rows if row.hazard == "all" and row.collision_rate > SAFE}
+    unsafe = {(row.condition, row.method) for row in rows if row.hazard == "all" and row.collision_rate > SAFE_RATE}
     for axes, measure in zip(grid, MEASURES, strict=True):
         values = values_of(rows, measure)
         _cells(axes, values, measure, [(each, name) for each in conditions for name in methods], unsafe)
@@ -117,7 +117,7 @@ def _caption(rows: Sequence[Scorecard], knows: Knows) -> str:
     )
     return (
         "The darker, the worse. Framed: the worst of each part, methods that know nothing not counted."
-        f"{named} In brackets: of a method that collides in more than {100 * SAFE:g} % of these episodes, which its "
+        f"{named} In brackets: of a method that collides in more than {100 * SAFE_RATE:g} % of these episodes, which its "
         "success and time must not make up for. Calm time: mean time of the episodes without a hazard in which the ego "
         "arrives; a dash: it never does."
     )

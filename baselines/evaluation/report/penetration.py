@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from baselines.evaluation.report.figures import Knows, Plot, arms, as_svg, look, names_in, panels, scenarios_in
-from baselines.evaluation.report.matrix import SAFE
+from baselines.evaluation.report.matrix import SAFE_RATE
 from baselines.methods import KNOWS_NOTHING
 from baselines.plot_style import INK
 from cad_env.conditions import CONDITIONS, Condition
@@ -18,7 +18,7 @@ from cad_env.scoring.scorecard import Scorecard
 _SPREAD = 0.36  # of a step, over which methods stand beside each other
 WITNESSED = "witness\nalways"  # the label of the guaranteed one
 CAPTION = (
-    f"Full points and lines: at most {100 * SAFE:g} % collisions, so that they may be compared. Hollow points and "
+    f"Full points and lines: at most {100 * SAFE_RATE:g} % collisions, so that they may be compared. Hollow points and "
     "dotted lines: more collisions than that; such a success or time is bought with safety. Bars: 95 % intervals. Calm "
     "time: mean time of the episodes without a hazard in which the ego arrives. Each vehicle but the hidden ones is "
     "connected by itself with that probability; at 0 % the ego is alone. Steps are not to scale."
@@ -48,7 +48,7 @@ def worth_of_sharing(rows: Sequence[Scorecard], knows: Knows, steps: Mapping[str
     for scenario in scenarios:
         for number, name in enumerate(names):
             mine = [row for row in seen if (row.scenario, row.method) == (scenario, name)]
-            safe = {row.condition for row in mine if row.hazard == "all" and row.collision_rate <= SAFE}
+            safe = {row.condition for row in mine if row.hazard == "all" and row.collision_rate <= SAFE_RATE}
             beside = _SPREAD * (number / max(len(names) - 1, 1) - 0.5)
             for axes, points in ((successes[scenario], _success(mine)), (times[scenario], _calm_time(mine))):
                 _draw(axes, points, steps, beside, safe, look(name, knows))
@@ -103,6 +103,6 @@ def _legend(names: Sequence[str], knows: Knows) -> list[Line2D]:
     plain: dict[str, Any] = {"color": INK, "marker": "o"}
     return [
         *(Line2D([], [], label=name, **look(name, knows)) for name in names),
-        Line2D([], [], linestyle="-", label=f"≤ {100 * SAFE:g} % collisions", **plain),
+        Line2D([], [], linestyle="-", label=f"≤ {100 * SAFE_RATE:g} % collisions", **plain),
         Line2D([], [], linestyle=":", label="more collisions", markerfacecolor="#ffffff", **plain),
     ]

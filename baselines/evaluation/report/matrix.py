@@ -117,7 +117,7 @@ def _caption(rows: Sequence[Scorecard], knows: Knows) -> str:
     )
     return (
         "The darker, the worse. Framed: the worst of each part, methods that know nothing not counted."
-        f"{named} In brackets: of a method that collides in more than {100 * SAFE_RATE:g} % of these episodes, which its "
-        "success and time must not make up for. Calm time: mean time of the episodes without a hazard in which the ego "
-        "arrives; a dash: it never does."
+        f"{named} In brackets: of a method that collides in more than {100 * SAFE_RATE:g} % of these episodes, which "
+        "its success and time must not make up for. Calm time: mean time of the episodes without a hazard in which the "
+        "ego arrives; a dash: it never does."
     )

@@ -21,7 +21,7 @@ CAPTION = (
     f"Full points and lines: at most {100 * SAFE_RATE:g} % collisions, so that they may be compared. Hollow points and "
     "dotted lines: more collisions than that; such a success or time is bought with safety. Bars: 95 % intervals. Calm "
     "time: mean time of the episodes without a hazard in which the ego arrives. Each vehicle but the hidden ones is "
-    "connected by itself with that probability; at 0 % the ego is alone. Steps are not to scale."
+    "connected by itself with that probability; at 0 the ego is alone. Steps are not to scale."
 )
 _USUAL = CONDITIONS["nominal"]
 
@@ -35,7 +35,7 @@ def penetration_steps(conditions: Mapping[str | None, Condition]) -> dict[str | 
     for name, each in conditions.items():
         if each.penetration is not None and each.settings == replace(_USUAL, penetration=each.penetration).settings:
             alike.setdefault(each.penetration, name)
-    steps = {alike[share]: f"{100 * share:g} %" for share in sorted(alike)}
+    steps = {alike[share]: f"{100 * share:g}" for share in sorted(alike)}
     witnessed = [name for name, each in conditions.items() if each.settings == _USUAL.settings]
     return steps | dict.fromkeys(witnessed[:1], WITNESSED)
 
@@ -57,7 +57,7 @@ def worth_of_sharing(rows: Sequence[Scorecard], knows: Knows, steps: Mapping[str
                 axes.axvline(len(steps) - 1.5, color="#888888", linewidth=0.8)
         successes[scenario].set_ylim(-3, 103)
         times[scenario].set_xticks(range(len(steps)), list(steps.values()), fontsize=8.5)
-        times[scenario].set_xlabel("share of the vehicles that is connected")
+        times[scenario].set_xlabel("vehicles connected, %")
     successes[scenarios[0]].set_ylabel("success, %")
     times[scenarios[0]].set_ylabel("calm time, s")
     figure.legend(handles=_legend(names, knows), loc="outside right center")

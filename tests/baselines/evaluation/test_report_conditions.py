@@ -96,14 +96,14 @@ def test_the_worst_cell_is_the_darkest(rows: Sequence[Scorecard], drawn: list[Fi
 
 def test_the_axis_goes_from_nobody_to_everybody_then_to_the_witness() -> None:
     assert penetration_steps(CONDITIONS) == {
-        "alone": "0 %", "penetration-05": "5 %", "penetration-10": "10 %", "penetration-25": "25 %",
-        "penetration-50": "50 %", "penetration-100": "100 %", "nominal": WITNESSED,
+        "alone": "0", "penetration-05": "5", "penetration-10": "10", "penetration-25": "25",
+        "penetration-50": "50", "penetration-100": "100", "nominal": WITNESSED,
     }  # fmt: skip
     mine = {
         "mine": Condition("mine", "a test", penetration=0.4),
         "lossy": Condition("l", "t", penetration=0.3, loss=0.1),
     }
-    assert penetration_steps(mine) == {"mine": "40 %"}
+    assert penetration_steps(mine) == {"mine": "40"}
 
 
 def test_points_with_collisions_are_hollow_and_their_lines_dotted(drawn: list[Figure]) -> None:

@@ -36,6 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return stopped(error)
     say(table(rows))
-    say("\nalways-go knows nothing, stgraph-motion-own what it sees, stgraph-motion what it sees and is sent,")
+    say(f"\nIn every episode: {settings.met().words}.")
+    say("always-go knows nothing, stgraph-motion-own what it sees, stgraph-motion what it sees and is sent,")
     say("expert the truth.")
     return 0

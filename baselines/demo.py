@@ -8,7 +8,7 @@ from pathlib import Path
 from baselines.cli import parsed, refused, say, stopped
 from baselines.signals import sigterm_as_ctrl_c
 
-METHODS_SHOWN = ("always-go", "stgraph-own", "stgraph", "expert")
+METHODS_SHOWN = ("always-go", "stgraph-motion-own", "stgraph-motion", "expert")
 
 
 @dataclass(frozen=True)
@@ -36,5 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         return stopped(error)
     say(table(rows))
-    say("\nalways-go knows nothing, stgraph-own what it sees, stgraph what it sees and is sent, expert the truth.")
+    say(f"\nIn every episode: {settings.met().words}.")
+    say("always-go knows nothing, stgraph-motion-own what it sees, stgraph-motion what it sees and is sent,")
+    say("expert the truth.")
     return 0

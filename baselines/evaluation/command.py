@@ -23,12 +23,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if any(word.split("=")[0] == "--merge" for word in words):
             return _put_together(words)
-        settings = comparable(parsed(Settings, words, choices, more=["--merge"]))
+        settings = comparable(parsed(Settings, words, _choices, more=["--merge"]))
     except (ValueError, OSError) as error:
         return refused(error)
     except KeyboardInterrupt as error:
         return stopped(error)
     return scored(settings)
+
+
+def _choices() -> str:
+    """For `--help`: the names of methods, scenarios and conditions."""
+    from cad_env.conditions import CONDITIONS  # here, so that only this help waits for it
+
+    return f"{choices()}\nConditions: {', '.join(CONDITIONS)}."
 
 
 def _put_together(words: Sequence[str]) -> int:
@@ -76,16 +83,31 @@ def scored_by_seed(settings: Settings) -> int:
             return code
     if settings.shard is None:
         say(spread_table(spreads([score(run) for run in runs.values()])))
+        _say_what_was_met(next(iter(runs.values())).folder())
         say(f"Each training seed has its own folder in {settings.out}.")
     return 0
 
 
 def _show(rows: "Sequence[Scorecard]", folder: Path) -> None:
-    """Print the table."""
+    """Print the table, and what its numbers rely on; write the matrix of several conditions."""
+    from baselines.evaluation.matrix_text import MATRIX, matrix_text
+    from cad_env.files import replace_text
     from cad_env.scoring.table import table
 
     say(table(rows))
+    _say_what_was_met(folder)
     say(f"The episodes and the scores are in {folder}.")
+    if len({row.condition for row in rows}) > 1:
+        replace_text(folder / MATRIX, matrix_text(rows))
+        say(f"Conditions side by side: {folder / MATRIX}.")
+
+
+def _say_what_was_met(folder: Path) -> None:
+    """Who is connected: no number stands without."""
+    from baselines.evaluation.noted_conditions import met_in_words
+    from baselines.evaluation.store import read_settings
+
+    say("\n".join(met_in_words(read_settings(folder))))
 
 
 def _explain(store: "Store", settings: Settings) -> None:

@@ -21,7 +21,7 @@ _SIZE = 2.0 / 3.0  # of the size of a picture
 
 
 def write_gifs(settings: Settings, records: Iterable[Record], folder: Path, count: int) -> list[Path]:
-    """`<scenario>_<method>_<outcome>_<seed>.gif` in `folder` for `count` episodes of each such kind; their paths.
+    """A GIF (`gif_name`) in `folder` for `count` episodes of each condition, scenario, method and outcome; their paths.
 
     They are made by `settings.jobs` processes, and progress is shown. ValueError if an episode does not end as its
     record says: it was made with other settings, models or code.
@@ -48,16 +48,17 @@ def _drawn(settings: Settings, records: Sequence[Record], folder: Path) -> Itera
 
 
 def first_of_each(records: Iterable[Record], count: int) -> list[Record]:
-    """Of each scenario, method and outcome `count` records: those with a hazard first, then the lowest seeds."""
-    kinds: dict[tuple[str, str, str], list[Record]] = {}
+    """Of each condition, scenario, method and outcome `count` records: with a hazard first, then the lowest seeds."""
+    kinds: dict[tuple[str, str, str, str], list[Record]] = {}
     for record in sorted(records, key=lambda record: (not record.hazard, record.seed)):
-        kinds.setdefault((record.scenario, record.method, record.outcome), []).append(record)
+        kind = record.condition or "", record.scenario, record.method, record.outcome
+        kinds.setdefault(kind, []).append(record)
     return [record for kind in sorted(kinds) for record in kinds[kind][:count]]
 
 
 def write_film(settings: Settings, record: Record, folder: Path) -> Path:
     """The GIF of one recorded episode."""
-    job = job_of(settings, record.scenario, record.method)
+    job = job_of(settings, record.scenario, record.method, record.condition)
     env = CADEnv(**job.options, config=screen(scenario_named(record.scenario).map, _SIZE))  # a small picture
     episode, frames = filmed(env, job.policy, record.seed, record.method, HAZARDS[settings.hazard], (danger,))
     env.close()

@@ -1,4 +1,4 @@
-"""Every episode of a scoring run, in the order of its table: scenario, method, seed."""
+"""Every episode of a scoring run, in the order of its table: condition, scenario, method, seed."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -7,7 +7,9 @@ from typing import NamedTuple
 CHUNK = 25  # episodes that a process takes at a time
 MOST_EPISODES = 10_000_000  # of a scenario and method
 
-Key = tuple[str, str, int]  # scenario, method, seed: what tells an episode from all others
+# condition (None: what the settings say), scenario, method, seed: what tells an episode from all others
+Key = tuple[str | None, str, str, int]
+NO_CONDITION = (None,)  # of a run without named ones
 
 
 class Task(NamedTuple):
@@ -16,13 +18,20 @@ class Task(NamedTuple):
     scenario: str
     method: str
     seeds: Sequence[int]
+    condition: str | None = None
 
     def episodes(self) -> list[Key]:
         """Its episodes."""
-        return [(self.scenario, self.method, seed) for seed in self.seeds]
+        return [(self.condition, self.scenario, self.method, seed) for seed in self.seeds]
 
 
-def grid(scenarios: Iterable[str], methods: Sequence[str], seeds: range, shard: str | None = None) -> list[Task]:
+def grid(
+    scenarios: Sequence[str],
+    methods: Sequence[str],
+    seeds: range,
+    shard: str | None = None,
+    conditions: Iterable[str | None] = NO_CONDITION,
+) -> list[Task]:
     """All tasks, or those of a shard `i/n`: every n-th, from the i-th on.
 
     >>> [task.seeds for task in grid(["left_turn"], ["expert"], range(60), "2/2")]
@@ -30,7 +39,8 @@ def grid(scenarios: Iterable[str], methods: Sequence[str], seeds: range, shard: 
     """
     number, count = (1, 1) if shard is None else shard_of(shard)
     tasks = [
-        Task(scenario, method, seeds[start : start + CHUNK])
+        Task(scenario, method, seeds[start : start + CHUNK], condition)
+        for condition in conditions
         for scenario in scenarios
         for method in methods
         for start in range(0, len(seeds), CHUNK)

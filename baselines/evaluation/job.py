@@ -33,12 +33,12 @@ class Job:
     policy: Policy
 
 
-def job_of(settings: Settings, scenario: str, name: str) -> Job:
+def job_of(settings: Settings, scenario: str, name: str, condition: str | None = None) -> Job:
     """A method as it drives in a scenario. ValueError for an unknown method, and for a missing or damaged model.
 
-    It is made anew only when its model or source has changed.
+    It is made anew only when its model or source has changed. condition: one of `settings.conditions()`.
     """
-    return _job(settings, scenario, name, digest_of_method(settings, name))
+    return _job(settings, scenario, name, condition, digest_of_method(settings, name))
 
 
 def digest_of_method(settings: Settings, name: str) -> str | None:
@@ -94,13 +94,15 @@ def _code_of_network(method: Method) -> str:
 
 
 @lru_cache(CACHED)
-def _job(settings: Settings, scenario: str, name: str, _: str | None) -> Job:
+def _job(settings: Settings, scenario: str, name: str, condition: str | None, _: str | None) -> Job:
     method = method_named(name)
     radio = settings.radio if method.shares else "none"
-    options = settings.environment(scenario)
+    options = settings.environment(scenario, condition)
     options["depth"] = min(settings.depth, method.depth)
     if not method.shares:
         options["radio"] = RADIO_PRESETS["none"]
+        if condition is not None:  # whoever else is connected has nothing to say to it
+            options |= {"penetration": 0.0, "ranges": {}}
     if method.make_policy is not None:
         return Job(scenario, method, radio, options, method.make_policy(scenario))
     from cad_env.scenarios import scenario_named

@@ -2,18 +2,18 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
 from baselines.cli import Progress
 from baselines.controls.names import BEST_BLIND, best_control, is_control
-from baselines.evaluation.grid import Task
+from baselines.evaluation.grid import Key, Task
 from baselines.evaluation.job import digest_of_method, job_of
 from baselines.evaluation.ray_backend import on_ray
-from baselines.evaluation.settings import HAZARDS, Settings
+from baselines.evaluation.settings import HAZARDS, OF_CONDITIONS, Settings
 from baselines.evaluation.store import Store, key_of
 from baselines.folder_note import MAY_DIFFER
 from baselines.methods import method_named
@@ -38,7 +38,7 @@ def opened_store(settings: Settings) -> Store:
     prefer_one_thread()
     for scenario in settings.scenarios():
         for name in settings.method:
-            job_of(settings, scenario, name)
+            job_of(settings, scenario, name, settings.conditions()[0])
     return Store(settings.folder(), identity(settings))
 
 
@@ -49,7 +49,8 @@ def completed(settings: Settings, store: Store, advance: Callable[[int], object]
     """
     keys = [key for task in settings.tasks() for key in task.episodes()]
     if advance is None:
-        with Progress(len(keys), "scoring", len(store.records)) as bar:
+        to_drive = sum(len(task.seeds) for task in _missing(settings, store, _twins(settings, keys)))
+        with Progress(len(store.records) + to_drive, "scoring", len(store.records)) as bar:
             _drive_missing(settings, store, bar.update)
     else:
         _drive_missing(settings, store, advance)
@@ -60,24 +61,43 @@ def completed(settings: Settings, store: Store, advance: Callable[[int], object]
 
 
 def _drive_missing(settings: Settings, store: Store, advance: Callable[[int], object]) -> None:
-    with closing(_driven(settings, _missing(settings, store))) as finished:
+    wanted = [key for task in settings.tasks() for key in task.episodes()]
+    twin = _twins(settings, wanted)
+    with closing(_driven(settings, _missing(settings, store, twin))) as finished:
         for records in finished:
             if new := [record for record in records if key_of(record) not in store.records]:
                 store.append(new)
                 advance(len(new))
+    known = {key: store.records.get(twin[key]) for key in wanted if key in twin and key not in store.records}
+    copies = [replace(record, condition=key[0]) for key, record in known.items() if record is not None]
+    store.append(copies)
+
+
+def _twins(settings: Settings, wanted: Sequence[Key]) -> dict[Key, Key]:
+    """Episodes that need not be driven -> another of this run that is the same but for the name of its condition.
+
+    A method that shares nothing meets a condition in its traffic only, so it drives once for each density.
+    """
+    first: dict[tuple[str, str, str, int], Key] = {}
+    twins: dict[Key, Key] = {}
+    traffic = {name: settings.met(name).traffic for name in settings.conditions()}
+    for condition, scenario, method, seed in wanted:
+        key = condition, scenario, method, seed
+        if not method_named(method).shares:
+            same = first.setdefault((traffic[condition], scenario, method, seed), key)
+            if same != key:
+                twins[key] = same
+    return twins
 
 
 def identity(settings: Settings) -> dict[str, Any]:
     """Everything that the episodes depend on: settings, models, code of the scenes; with the command, as a note."""
-    names = (
-        "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
-        "collaborators", "depth", "threshold",
-    )  # fmt: skip
     digests = {name: digest_of_method(settings, name) for name in settings.method}
     return {
         "scenario": list(settings.scenarios()),
         "method": list(settings.method),
-        **{name: getattr(settings, name) for name in names},
+        **{name: _setting(settings, name) for name in _NOTED if not settings.condition or name not in OF_CONDITIONS},
+        **_conditions(settings),
         "radio": {name: str(value) for name, value in asdict(settings.radio_config()).items()},
         **{f"{_what_decides(name)} of {name}": digest for name, digest in digests.items() if digest is not None},
         **_choice(settings),
@@ -87,6 +107,22 @@ def identity(settings: Settings) -> dict[str, Any]:
         "command": settings.command(),
         **({} if settings.shard is None else {"shard": settings.shard}),
     }
+
+
+_NOTED = (
+    "episodes", "first_seed", "hazard", "traffic", "penetration", "sensor_noise", "gnss_noise", "gnss_yaw_noise",
+    "collaborators", "depth", "threshold",
+)  # fmt: skip
+
+
+def _setting(settings: Settings, name: str) -> Any:
+    return settings.met().traffic if name == "traffic" else getattr(settings, name)
+
+
+def _conditions(settings: Settings) -> dict[str, Any]:
+    """What each named condition sets."""
+    found = {name: settings.met(name).settings for name in settings.condition}
+    return {"condition": found} if found else {}
 
 
 def _what_decides(name: str) -> str:
@@ -106,9 +142,10 @@ def digest_of(settings: Settings) -> str:
     return hashlib.sha256(json.dumps(known).encode()).hexdigest()[:16]
 
 
-def _missing(settings: Settings, store: Store) -> list[Task]:
+def _missing(settings: Settings, store: Store, twins: Mapping[Key, Key]) -> list[Task]:
+    """What is still to be driven."""
     rest = [
-        task._replace(seeds=[seed for *_, seed in task.episodes() if (*task[:2], seed) not in store.records])
+        task._replace(seeds=[key[-1] for key in task.episodes() if key not in store.records and key not in twins])
         for task in settings.tasks()
     ]
     return [task for task in rest if task.seeds]
@@ -116,10 +153,11 @@ def _missing(settings: Settings, store: Store) -> list[Task]:
 
 def drive_task(settings: Settings, task: Task) -> Iterator[Record]:
     """The records of one method on some seeds of one scenario, as the episodes end."""
-    job = job_of(settings, task.scenario, task.method)
+    job = job_of(settings, task.scenario, task.method, task.condition)
     side_by_side = min(_ABREAST, len(task.seeds)) if isinstance(job.policy, BatchPolicy) else 1
     envs = CADVectorEnv(side_by_side, **job.options)
-    return map(record_of, rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard]))
+    episodes = rollouts(envs, job.policy, task.seeds, task.method, HAZARDS[settings.hazard])
+    return (record_of(episode, task.condition) for episode in episodes)
 
 
 def _driven(settings: Settings, tasks: list[Task]) -> Generator[list[Record], None, None]:

@@ -5,12 +5,13 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from baselines.controls.names import BEST_BLIND, EVERY_CONTROL, GRID, has_best_control
-from baselines.evaluation.grid import MOST_EPISODES, Task, grid, shard_of
+from baselines.evaluation.grid import MOST_EPISODES, NO_CONDITION, Task, grid, shard_of
 from baselines.evaluation.ray_backend import check_ray
 from baselines.methods import SHIPPED_METHODS, shipped_models
+from baselines.references import is_reference, resolved
 from cad_env.checks import (
     ConfigError,
     check_numbers,
@@ -27,6 +28,9 @@ from cad_env.config import RadioConfig, SensorConfig, radio_config
 from cad_env.scoring.time_lost import EXPERT
 from cad_env.types import FRAMES, STEP
 
+if TYPE_CHECKING:
+    from cad_env.conditions import Condition
+
 HAZARDS = {"all": None, "yes": True, "no": False}
 ALL_SCENARIOS = ("all",)
 BACKENDS = ("processes", "ray")
@@ -34,6 +38,7 @@ _LIMITS = {  # of the numbers that are no part of an environment, or are named o
     "episodes": (1, MOST_EPISODES), "jobs": (1, 256), "gif": (0, 1000), "threshold": (0.0, 1.0),
     "budget": (0.0, 1e12 * STEP / 8.0), "gnss_yaw_noise": (0.0, 180.0), "collaborators": (0, 20),
 }  # fmt: skip
+OF_CONDITIONS = ("traffic", "penetration", "collaborators", "loss", "burst", "delay")  # what every condition sets
 HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
 
 
@@ -44,6 +49,8 @@ class Settings:
     Methods with closed eyes: always-go, always-brake; blind-D brakes for the first D seconds, stop-D stops 1 m before
     the conflict and waits D seconds, slow-V never drives over V m/s; best-blind is the best of these in each scenario,
     chosen on training seeds; `controls` is all that it is chosen from. Time lost: against the expert on the same seed.
+    A condition is a named set of traffic, penetration, collaborators, loss, burst and delay, and every method is scored
+    under each. Without one the options of these names count; by default a witness is always connected.
     Writes episodes.jsonl (one line an episode), scores.json (rates with 95 % Wilson intervals) and report.html (tables
     and plots), and prints the table. If it is stopped, run the same command again to resume.
     `--merge FOLDER FOLDER ... --out FOLDER`, without the options below, merges the finished shards of one run.
@@ -60,8 +67,9 @@ class Settings:
     out: Path = Path("results")  # folder to write to
     report: bool = True  # write report.html
     gif: int = 0  # animations of each scenario, method and outcome, into <out>/gifs and the report
-    traffic: str = "light"  # none, light or dense: how much is on the road around the cast of a scenario
-    penetration: float | None = None  # share of the vehicles that is connected; default: two to four
+    condition: tuple[str, ...] = ()  # names of conditions, or all; module:CONDITION is one of your own
+    traffic: str | None = None  # none, light or dense: how much is on the road around the story; default: light
+    penetration: float | None = None  # probability that a vehicle is connected; default: two to four are
     radio: str = "dsrc"  # none, dsrc, cv2x or ideal, for the methods that share
     loss: float | None = None  # probability that the ego misses a message; default: the radio's own
     burst: float | None = None  # mean slots in a row that the ego misses of a sender; default: each by itself
@@ -84,6 +92,7 @@ class Settings:
             names = getattr(self, what)
             if not names or len(set(names)) < len(names):
                 raise ValueError(f"{what} must name at least one, each once, got {' '.join(names)!r}")
+        self._check_condition()
         settle(self, "models", check_several("models", self.models, check_path))
         settle(self, "out", check_path("out", self.out))
         settle(self, "report", check_switch("report", self.report))
@@ -105,8 +114,38 @@ class Settings:
             raise ConfigError(f"hazard must be one of {', '.join(HAZARDS)}, got {self.hazard!r}{near}")
         from cad_env.simulation.setup import setup_from
 
-        for scenario in self.scenarios():
-            setup_from(self.environment(scenario))
+        for condition in self.conditions():
+            for scenario in self.scenarios():
+                setup_from(self.environment(scenario, condition))
+
+    def _check_condition(self) -> None:
+        """Settle the names; refuse a setting that the conditions set too."""
+        given = check_several("condition", self.condition, check_text)
+        settle(self, "condition", with_every_condition(given))
+        if len(set(self.condition)) < len(self.condition):
+            raise ConfigError(f"condition must name each once, got {' '.join(given)!r}")
+        for name in self.condition:
+            condition = condition_called(name)
+            for what in OF_CONDITIONS:
+                if (mine := getattr(self, what)) is not None:
+                    its = getattr(condition, what)
+                    sets = f"sets {what} to {'its default' if its is None else its}"
+                    raise ConfigError(
+                        f"condition {name} {sets}, and --{what} {mine} is given too: leave out one of them"
+                    )
+
+    def conditions(self) -> tuple[str | None, ...]:
+        """The names of the conditions, in the order of the table; one without a name if none is asked for."""
+        return self.condition or NO_CONDITION
+
+    def met(self, condition: str | None = None) -> "Condition":
+        """The condition of a name; without one, what these settings say."""
+        from cad_env.conditions import Condition  # here, because it takes a second that --help need not wait
+
+        if condition is not None:
+            return condition_called(condition)
+        said = {name: value for name in OF_CONDITIONS if (value := getattr(self, name)) is not None}
+        return Condition("unnamed", "what the settings say", **said)
 
     def scenarios(self) -> tuple[str, ...]:
         """The names of the scenarios, in the order of the table."""
@@ -114,25 +153,25 @@ class Settings:
 
         return SHIPPED if self.scenario == ALL_SCENARIOS else tuple(scenario_named(name).name for name in self.scenario)
 
-    def environment(self, scenario: str) -> dict[str, Any]:
+    def environment(self, scenario: str, condition: str | None = None) -> dict[str, Any]:
         """The options of the environment, for a method that shares all it can."""
         return {
             "scenario": scenario,
-            "radio": self.radio_config(),
             "sensor": SensorConfig(
                 noise=self.sensor_noise, gnss_noise=self.gnss_noise, gnss_yaw_noise=math.radians(self.gnss_yaw_noise)
             ),
-            "ranges": {} if self.collaborators is None else {"collaborators": (self.collaborators,) * 2},
             "depth": self.depth,
-            "traffic": self.traffic,
-            "penetration": self.penetration,
+            **self.met(condition).options(self._radio()),
         }
 
     def radio_config(self) -> RadioConfig:
-        """The preset with what was overridden."""
-        rate = None if self.budget is None else 8.0 * self.budget / STEP
-        chosen = {"loss": self.loss, "burst": self.burst, "delay": self.delay, "rate": rate}
-        return replace(radio_config(self.radio), **{name: value for name, value in chosen.items() if value is not None})
+        """The preset with what these settings override."""
+        return self.met().radio(self._radio())
+
+    def _radio(self) -> RadioConfig:
+        """The preset with its budget."""
+        preset = radio_config(self.radio)
+        return preset if self.budget is None else replace(preset, rate=8.0 * self.budget / STEP)
 
     def seeds(self) -> range:
         """The same for every scenario and method."""
@@ -140,7 +179,7 @@ class Settings:
 
     def tasks(self) -> list[Task]:
         """Every episode of this run, or of this shard of it."""
-        return grid(self.scenarios(), self.method, self.seeds(), self.shard)
+        return grid(self.scenarios(), self.method, self.seeds(), self.shard, self.conditions())
 
     def models_folder(self) -> Path:
         """The folder of trained models; of the first training seed, where there are several."""
@@ -164,6 +203,27 @@ class Settings:
 def with_every_control(methods: Sequence[str]) -> tuple[str, ...]:
     """The methods with all controls of the grid in the place of the word for them."""
     return tuple(each for name in methods for each in (GRID if name == EVERY_CONTROL else (name,)))
+
+
+def with_every_condition(names: Sequence[str]) -> tuple[str, ...]:
+    """The conditions with all that ship in the place of the word for them."""
+    if not names:
+        return ()
+    from cad_env.conditions import CONDITIONS, EVERY_CONDITION
+
+    return tuple(each for name in names for each in (CONDITIONS if name == EVERY_CONDITION else (name,)))
+
+
+def condition_called(name: str) -> "Condition":
+    """The condition of a name, or one from outside; ConfigError or ValueError, one line, if there is none."""
+    from cad_env.conditions import Condition, condition_named
+
+    if not is_reference(name):
+        return condition_named(name)
+    found = resolved(name)
+    if not isinstance(found, Condition):
+        raise ConfigError(f"{name} must be a Condition of cad_env.conditions, got {found!r}")
+    return found
 
 
 def comparable(settings: Settings) -> Settings:

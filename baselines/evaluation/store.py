@@ -13,10 +13,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from baselines.evaluation.grid import MOST_EPISODES, Key, grid
+from baselines.evaluation.grid import MOST_EPISODES, NO_CONDITION, Key, grid
 from baselines.folder_note import claim, difference
 from baselines.methods import KNOWLEDGE, folder_of
 from cad_env.checks import ConfigError, check_path, check_several, check_switch, settle
+from cad_env.conditions import Condition
 from cad_env.files import (
     MOST_DATA_BYTES,
     FileError,
@@ -69,7 +70,7 @@ class Store:
 
 def key_of(record: Record) -> Key:
     """What identifies an episode in a run."""
-    return record.scenario, record.method, record.seed
+    return record.condition, record.scenario, record.method, record.seed
 
 
 def gif_of(folder: Path, record: Record) -> Path:
@@ -78,8 +79,9 @@ def gif_of(folder: Path, record: Record) -> Path:
 
 
 def gif_name(record: Record) -> str:
-    """`<scenario>_<method>_<outcome>_<seed>.gif`."""
-    return f"{record.scenario}_{folder_of(record.method)}_{record.outcome}_{record.seed}.gif"
+    """`<scenario>_<method>_<outcome>_<seed>.gif`, behind `<condition>_` if one was named."""
+    condition = "" if record.condition is None else f"{folder_of(record.condition)}_"
+    return f"{condition}{record.scenario}_{folder_of(record.method)}_{record.outcome}_{record.seed}.gif"
 
 
 def read_settings(folder: Path, needed: Sequence[str] = ()) -> dict[str, Any]:
@@ -110,6 +112,16 @@ def _is_names(value: object) -> bool:
     return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
 
+def _are_conditions(value: object) -> bool:
+    """Whether it maps names to what conditions set."""
+    if not isinstance(value, dict) or not value:
+        return False
+    try:
+        return bool([Condition(name, "noted", **settings) for name, settings in value.items()])
+    except (TypeError, ValueError):
+        return False
+
+
 def _is_seed(value: object) -> bool:
     return type(value) is int and value >= 0
 
@@ -130,6 +142,7 @@ _SETTINGS: Mapping[str, tuple[Callable[[Any], bool], str]] = MappingProxyType(
     {
         "scenario": (_is_names, "a list of names"),
         "method": (_is_names, "a list of names"),
+        "condition": (_are_conditions, "what each condition sets, by its name"),
         "first_seed": (_is_seed, "a whole number from 0 on"),
         "episodes": (_is_number_of_episodes, f"a whole number from 1 to {MOST_EPISODES}"),
         "knowledge": (KNOWLEDGE.__contains__, f"one of {', '.join(KNOWLEDGE)}"),
@@ -187,8 +200,9 @@ def merged(merging: Merging) -> list[Scorecard]:
     records = {key_of(record): record for folder in merging.merge for record in read_records(folder)}
     missing = [key for key in keys if key not in records]
     if missing:
-        scenario, method, seed = missing[0]
-        which = f"{len(missing)} of {len(keys)} episodes, such as seed {seed} of {method} in {scenario}"
+        condition, scenario, method, seed = missing[0]
+        under = "" if condition is None else f" under {condition}"
+        which = f"{len(missing)} of {len(keys)} episodes, such as seed {seed} of {method} in {scenario}{under}"
         raise ConfigError(f"these folders lack {which}: finish every shard and name them all")
     store = Store(merging.out, settings)
     store.records = records
@@ -209,5 +223,6 @@ def _one_run(folders: Sequence[Path]) -> dict[str, Any]:
 
 def _keys(settings: Mapping[str, Any]) -> list[Key]:
     seeds = range(settings["first_seed"], settings["first_seed"] + settings["episodes"])
-    tasks = grid(settings["scenario"], settings["method"], seeds)
+    conditions = settings.get("condition", NO_CONDITION)
+    tasks = grid(settings["scenario"], settings["method"], seeds, conditions=conditions)
     return [key for task in tasks for key in task.episodes()]

@@ -19,6 +19,7 @@ _RULES = "rules"  # the folder of the methods that are not trained, which are sc
 class Spread:
     """A method in all episodes of a scenario, over its training seeds. Rates are shares of the episodes of each."""
 
+    condition: str | None
     scenario: str
     method: str
     seeds: int
@@ -45,16 +46,18 @@ def runs_of(settings: Settings) -> dict[str, Settings]:
 
 
 def spreads(runs: Iterable[Sequence[Scorecard]]) -> list[Spread]:
-    """The rows of the table, scenario by scenario, in the order of the runs."""
-    found: dict[tuple[str, str], list[Scorecard]] = {}
+    """The rows of the table, by condition and scenario, in the order of the runs."""
+    found: dict[tuple[str | None, str, str], list[Scorecard]] = {}
     for rows in runs:
         for row in rows:
-            again = row.method == EXPERT and (row.scenario, row.method) in found
+            key = row.condition, row.scenario, row.method
+            again = row.method == EXPERT and key in found
             if row.hazard == "all" and not again:
-                found.setdefault((row.scenario, row.method), []).append(row)
-    scenes = list(dict.fromkeys(scenario for scenario, _ in found))
+                found.setdefault(key, []).append(row)
+    places = list(dict.fromkeys((condition, scenario) for condition, scenario, _ in found))
     return [
         Spread(
+            condition=condition,
             scenario=scenario,
             method=method,
             seeds=len(rows),
@@ -63,9 +66,9 @@ def spreads(runs: Iterable[Sequence[Scorecard]]) -> list[Spread]:
             success=_spread([row.success_rate for row in rows]),
             time_lost=_spread_if_known([row.time_lost for row in rows]),
         )
-        for scene in scenes
-        for (scenario, method), rows in found.items()
-        if scenario == scene
+        for place in places
+        for (condition, scenario, method), rows in found.items()
+        if (condition, scenario) == place
     ]
 
 
@@ -82,13 +85,16 @@ SPREAD_TITLES = ("scenario", "method", "seeds", "episodes", "collision %", "time
 
 
 def spread_table(rows: Sequence[Spread]) -> str:
-    """The rows as text; in brackets the least and the most of the training seeds."""
+    """The rows as text, conditions first if any is named; in brackets the least and the most of the training seeds."""
     cells = [
         (row.scenario, row.method, str(row.seeds), str(row.episodes),
          _cell(row.collision, 100), "-" if row.time_lost is None else _cell(row.time_lost, 1), _cell(row.success, 100))
         for row in rows
     ]  # fmt: skip
-    return text_table(SPREAD_TITLES, cells, names=2)
+    if all(row.condition is None for row in rows):
+        return text_table(SPREAD_TITLES, cells, names=2)
+    named = [(str(row.condition), *line) for row, line in zip(rows, cells, strict=True)]
+    return text_table(("condition", *SPREAD_TITLES), named, names=3)
 
 
 def _cell(spread: tuple[float, float, float], scale: float) -> str:

@@ -27,7 +27,7 @@ LOOKS = {  # row -> (what it shares, its shape)
     "expert": ("truth", "*"), "ppo": ("graph", "P"), "gat": ("own", "v"), "collab-gat": ("graph", "v"),
     "stgraph-own": ("own", "o"), "raw-points": ("points", "^"), "compressed": ("features", "^"),
     "stgraph-no-edges": ("graph", "d"), "stgraph-bc": ("graph", "h"), "stgraph": ("graph", "o"),
-    "stgraph-velocity": ("graph", "<"),
+    "stgraph-velocity": ("graph", "<"), "stgraph-motion": ("graph", "p"), "stgraph-motion-own": ("own", "p"),
 }  # fmt: skip
 COMPARED_COLOURS = {"stgraph": BLUE, "collab-gat": VERMILION, "compressed": GREEN}
 

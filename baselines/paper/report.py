@@ -126,7 +126,7 @@ def _head(command: str) -> str:
         "for closed-loop rates, and percentiles of a bootstrap over training seeds and whole episodes for everything "
         "else, because frames at 10 Hz are correlated. Spreads are the least and most among training seeds. "
         "A dash: there is no such number. Give each `evaluate.py` below a folder of its own (`--out`): a folder holds "
-        "one run."
+        "one run. A witness of the hidden lane is always connected, but for the sweep over collaborators at 0."
     )
 
 

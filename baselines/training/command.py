@@ -19,7 +19,7 @@ from cad_env.checks import check_numbers, check_path, check_seed, check_several,
 from cad_env.config import radio_config
 from policies.training.config import STEPS, TrainingConfig
 
-MAIN_METHODS = ("stgraph", "stgraph-own")
+MAIN_METHODS = ("stgraph-motion", "stgraph-motion-own")
 # Scored beside them; best-blind as far as it was chosen.
 REFERENCE_METHODS = ("always-go", "always-brake", BEST_BLIND, "planner-own", "planner-shared", "expert")
 # The others are those of the training config that they make; only `steps` would be rounded up to what it takes.
@@ -45,7 +45,7 @@ class TrainSettings:
     steps: int = TrainingConfig.steps  # optimiser steps of the first round; later rounds take half as many
     validation: int = TrainingConfig.validation  # closed-loop episodes per scenario after each third of a round
     seed: tuple[int, ...] = (0,)  # of training; with several, each method is trained once from each
-    score: int = 300  # episodes per method and scenario at the end; 0 trains only
+    score: int = 200  # episodes per method and scenario at the end; 0 trains only
     jobs: int = 2  # processes
     velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
 

@@ -25,7 +25,7 @@ class LeftTurnRanges(StreamRanges):
     ego_speed: Range = span(8.5, 10.0, within=(1.0, 20.0))  # m/s it wants to turn at
     ego_start: Range = span(26.0, 40.0, within=(5.0, 150.0))  # m before its stop line
     stream_speed: Range = span(17.0, 20.0, within=(8.0, 20.0))  # m/s of the hidden stream
-    platoon: tuple[int, int] = count(1, 3, within=(1, 30))  # vehicles that come close behind each other
+    platoon: tuple[int, int] = count(1, 4, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(0.95, 1.1, within=(0.9, 10.0))  # s from one to the next
     platoon_gap: Range = span(3.1, 4.3, within=(1.0, 60.0))  # s from a platoon to the next
     truck_length: Range = span(8.0, 14.0, within=(4.0, 18.0))  # m

@@ -73,7 +73,7 @@ class OvertakingRanges(StreamRanges):
     stream_speed: Range = span(10.0, 13.5, within=(8.0, ONCOMING_LIMIT))  # m/s of the oncoming stream
     platoon: tuple[int, int] = count(2, 4, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.4, 2.0, within=(1.0, 10.0))  # s from one to the next
-    platoon_gap: Range = span(16.5, 20.5, within=(1.0, 60.0))  # s from a platoon to the next
+    platoon_gap: Range = span(17.25, 20.5, within=(1.0, 60.0))  # s from a platoon to the next
     truck_length: Range = span(9.0, 14.0, within=(4.0, 14.0))  # m
     truck_width: Range = span(2.4, 2.6, within=(1.5, 2.7))  # m
     truck_offset: Range = span(0.1, 0.5, within=(-0.5, 0.5))  # m towards the middle of the road

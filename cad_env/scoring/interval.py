@@ -93,3 +93,19 @@ def effective_number(counts: Sequence[int], sizes: Sequence[int]) -> float:
     between = math.fsum((k - rate * n) ** 2 for k, n in zip(counts, sizes, strict=True)) / total**2
     effective = total * alone / between if alone > 0.0 and between > 0.0 else math.inf if alone > 0.0 else episodes
     return min(effective, total)
+
+
+def clustered_mean(clusters: Sequence[Sequence[float]]) -> Estimate:
+    """The mean of all values, at least one, with the 95 % interval of the normal distribution.
+
+    The interval is by the variance between clusters, each with at least one value; that of a single one has no width.
+
+    >>> mean = clustered_mean([[9.0], [10.0], [11.0], [10.0]])
+    >>> mean.value, round(mean.low, 3), round(mean.high, 3)
+    (10.0, 9.2, 10.8)
+    """
+    values, count = [value for cluster in clusters for value in cluster], len(clusters)
+    mean = math.fsum(values) / len(values)
+    between = math.fsum(math.fsum(value - mean for value in cluster) ** 2 for cluster in clusters)
+    half = Z * math.sqrt(between * count / max(count - 1, 1)) / len(values)
+    return Estimate(mean, mean - half, mean + half)

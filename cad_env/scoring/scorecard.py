@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from cad_env.checks import ConfigError
 from cad_env.files import parse_json, shortened
-from cad_env.scoring.interval import Estimate, wilson
+from cad_env.scoring.interval import Estimate, clustered_mean, wilson
 from cad_env.scoring.time_lost import EXPERT, time_lost
-from cad_env.types import OUTCOMES, STEP
+from cad_env.types import OUTCOMES, STEP, SUCCESS
 
 if TYPE_CHECKING:
     from cad_env.scoring.rollout import Episode
@@ -50,6 +50,7 @@ class Record:
     connected: int  # vehicles, the ego included
     hardest_brake: float  # m/s2, the largest mean deceleration of the ego over 0.5 s
     struck_from_behind: bool = False  # its collision was one with a vehicle that followed it
+    condition: str | None = None  # named, under which it was driven; its line has it only then
 
     def __post_init__(self) -> None:
         for name, valid in self._fields_valid().items():
@@ -66,6 +67,7 @@ class Record:
             **{name: is_count(getattr(self, name)) for name in counts},
             "hazard": isinstance(self.hazard, bool),
             "struck_from_behind": isinstance(self.struck_from_behind, bool),
+            "condition": self.condition is None or _is_text(self.condition),
             "outcome": self.outcome in OUTCOMES,
             "time": _is_amount(self.time),
             "bytes_per_message_mean": self.bytes_per_message_mean is None or _is_amount(self.bytes_per_message_mean),
@@ -77,7 +79,10 @@ class Record:
 
     def line(self) -> str:
         """JSON in one line, without its end."""
-        return json.dumps(asdict(self), allow_nan=False)
+        values = asdict(self)
+        if self.condition is None:
+            del values["condition"]
+        return json.dumps(values, allow_nan=False)
 
 
 def is_count(value: object) -> bool:
@@ -98,11 +103,11 @@ def _is_amount(value: object) -> bool:
     return _is_number(value) and value >= 0.0  # type: ignore[operator]
 
 
-_RECORD_KEYS = [field.name for field in fields(Record)]
+_RECORD_KEYS = [field.name for field in fields(Record) if field.name != "condition"]
 
 
-def record_of(episode: "Episode") -> Record:
-    """What is kept of an episode."""
+def record_of(episode: "Episode", condition: str | None = None) -> Record:
+    """What is kept of an episode. condition: the name of the one under which it was driven."""
     messages = int(episode.messages_sent.sum())
     return Record(
         scenario=episode.scenario,
@@ -122,21 +127,23 @@ def record_of(episode: "Episode") -> Record:
         connected=episode.connected,
         hardest_brake=round(episode.hardest_brake, 6),
         struck_from_behind=episode.struck_from_behind,
+        condition=condition,
     )
 
 
 def parse_record(line: str | bytes) -> Record:
     """The record in a line; ConfigError, one line, if it is anything but what `Record.line` writes."""
     values = parse_json(line)
-    if not isinstance(values, dict) or set(values) != set(_RECORD_KEYS):
+    if not isinstance(values, dict) or set(values) - {"condition"} != set(_RECORD_KEYS):
         raise ConfigError(f"an episode's record must have the keys {', '.join(_RECORD_KEYS)}")
     return Record(**values)
 
 
 @dataclass(frozen=True)
 class Scorecard:
-    """How a method did in a scenario: one row of the table. Rates are shares of `episodes`."""
+    """How a method did in a scenario under a condition: one row of the table. Rates are shares of `episodes`."""
 
+    condition: str | None  # None: none was named
     scenario: str
     method: str
     hazard: str  # which episodes count: all, those with a hazard (yes), those without (no)
@@ -159,7 +166,9 @@ class Scorecard:
     success_high: float
     timeouts: int
     mean_time: float  # s until the outcome, over all episodes
-    mean_time_success: float | None  # s, over the successes
+    mean_time_success: float | None  # s, over the successes; without a hazard this is the calm time
+    mean_time_success_low: float | None
+    mean_time_success_high: float | None
     needless_brakes: float | None  # share of episodes in which it braked at all; only where there is no hazard
     needless_low: float | None
     needless_high: float | None
@@ -176,8 +185,8 @@ def scorecards(
 ) -> list[Scorecard]:
     """Rows for all episodes, those with a hazard and those without, as far as there are any.
 
-    Scenarios and methods come in the order of their first episode. Time lost is against the episodes of `expert`;
-    default: those among `episodes` whose method is "expert".
+    Conditions, scenarios and methods come in the order of their first episode. Time lost is against the episodes of
+    `expert` under the same condition; default: those among `episodes` whose method is "expert".
 
     >>> from cad_env import CADVectorEnv, rollouts, table
     >>> class Go:
@@ -190,13 +199,15 @@ def scorecards(
     -------...
     left_turn  go      all            4  ...
     """
-    groups: dict[tuple[str, str], list[Record]] = {}
+    groups: dict[_Group, list[Record]] = {}
     for record in map(_as_record, episodes):
-        groups.setdefault((record.scenario, record.method), []).append(record)
-    given = None if expert is None else [_as_record(episode) for episode in expert]
+        groups.setdefault((record.condition, record.scenario, record.method), []).append(record)
+    experts: dict[_Group, list[Record]] = {} if expert is not None else groups
+    for record in map(_as_record, expert or ()):
+        experts.setdefault((record.condition, record.scenario, EXPERT), []).append(record)
     return [
-        scorecard(kind, chosen, groups.get((chosen[0].scenario, EXPERT), ()) if given is None else given)
-        for group in groups.values()
+        scorecard(kind, chosen, experts.get((condition, scenario, EXPERT), ()))
+        for (condition, scenario, _), group in groups.items()
         for kind in KINDS
         if (chosen := [record for record in group if kind == "all" or record.hazard == (kind == "yes")])
     ]
@@ -207,7 +218,7 @@ def _as_record(episode: "Record | Episode") -> Record:
 
 
 def scorecard(kind: str, records: Sequence[Record], expert: Sequence[Record] = ()) -> Scorecard:
-    """The row of at least one record, all of one scenario and method; `expert`: whom time is lost against."""
+    """The row of records, at least one, of one condition, scenario and method; `expert`: whom time is lost against."""
     episodes = len(records)
     count = {outcome: sum(record.outcome == outcome for record in records) for outcome in OUTCOMES}
     collision, collision_low, collision_high = _rate(count["collision"], episodes)
@@ -219,7 +230,9 @@ def scorecard(kind: str, records: Sequence[Record], expert: Sequence[Record] = (
     messages = sum(record.messages_sent for record in records)
     total = sum(record.bytes_total for record in records)
     time = math.fsum(record.time for record in records)
+    arrived = _mean([record.time for record in records if record.outcome == SUCCESS])
     return Scorecard(
+        condition=records[0].condition,
         scenario=records[0].scenario,
         method=records[0].method,
         hazard=kind,
@@ -242,7 +255,9 @@ def scorecard(kind: str, records: Sequence[Record], expert: Sequence[Record] = (
         success_high=success_high,
         timeouts=count["timeout"],
         mean_time=time / episodes,
-        mean_time_success=_mean([record.time for record in records if record.outcome == "success"]),
+        mean_time_success=arrived[0],
+        mean_time_success_low=arrived[1],
+        mean_time_success_high=arrived[2],
         needless_brakes=needless[0],
         needless_low=needless[1],
         needless_high=needless[2],
@@ -261,13 +276,15 @@ def _rate(count: int, of: int) -> tuple[float, float, float]:
     return (count / of, *wilson(count, of))
 
 
-def _mean(values: Sequence[float]) -> float | None:
-    return math.fsum(values) / len(values) if values else None
+def _mean(values: Sequence[float]) -> "_Interval":
+    """The mean of independent values with its interval."""
+    return _parts(clustered_mean([[value] for value in values])) if values else _NOTHING
 
 
 def _parts(estimate: Estimate) -> "_Interval":
     return estimate.value, estimate.low, estimate.high
 
 
+_Group = tuple[str | None, str, str]  # condition, scenario, method
 _Interval = tuple[float | None, float | None, float | None]
 _NOTHING: _Interval = (None, None, None)

@@ -29,16 +29,23 @@ def text_table(titles: Sequence[str], rows: Sequence[Sequence[str]], names: int 
 
 
 def table(rows: Sequence[Scorecard]) -> str:
-    """The scorecards as text, a part for each scenario.
+    """The scorecards as text, a part for each condition and scenario; a named condition has a line above its parts.
 
     Time lost is how much later it arrives than the expert on the same seed: its mean and its 90th percentile.
     """
     cells = [cells_of(row) for row in rows]
     head, rule, *lines = text_table(TITLES, cells).splitlines()
-    parts: dict[str, list[str]] = {}
+    parts: dict[tuple[str | None, str], list[str]] = {}
     for row, line in zip(rows, lines, strict=True):
-        parts.setdefault(row.scenario, [head, rule]).append(line)
-    return "\n\n".join("\n".join(part) for part in parts.values())
+        parts.setdefault((row.condition, row.scenario), [head, rule]).append(line)
+    headed: set[str | None] = {None}
+    texts: list[str] = []
+    for (condition, _), part in parts.items():
+        if condition not in headed:
+            headed.add(condition)
+            texts.append(f"condition: {condition}")
+        texts.append("\n".join(part))
+    return "\n\n".join(texts)
 
 
 def cells_of(row: Scorecard) -> tuple[str, ...]:

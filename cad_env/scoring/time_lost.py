@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cad_env.scoring.interval import Estimate, Z, effective_number, wilson_of_rate
+from cad_env.scoring.interval import Estimate, clustered_mean, effective_number, wilson_of_rate
 from cad_env.types import COLLISION, SUCCESS
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def time_lost(records: "Iterable[Record]", expert: "Iterable[Record]") -> TimeLo
     values = sorted(value for times in known.values() for value in times)
     if not values:
         return None
-    return TimeLost(len(values), _mean(values, list(known.values())), _percentile(values, list(known.values())))
+    return TimeLost(len(values), clustered_mean(list(known.values())), _percentile(values, list(known.values())))
 
 
 def times_lost(
@@ -71,14 +71,6 @@ def times_lost(
         if record.outcome != COLLISION and episode in best:
             found.setdefault(episode, []).append(record.time - best[episode])
     return found
-
-
-def _mean(values: Sequence[float], episodes: Sequence[Sequence[float]]) -> Estimate:
-    """The mean, with its interval by the variance between episodes."""
-    mean, count = math.fsum(values) / len(values), len(episodes)
-    between = math.fsum(math.fsum(value - mean for value in times) ** 2 for times in episodes)
-    half = Z * math.sqrt(between * count / max(count - 1, 1)) / len(values)
-    return Estimate(mean, mean - half, mean + half)
 
 
 def _percentile(values: Sequence[float], episodes: Sequence[Sequence[float]]) -> Estimate:

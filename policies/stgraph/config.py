@@ -3,15 +3,27 @@
 from dataclasses import dataclass
 
 from cad_env.checks import ConfigError, check_numbers, check_switch, did_you_mean, settle
-from cad_env.types import COMMANDS, MOST_COMMANDS
+from cad_env.types import COMMANDS, FRAMES, MOST_COMMANDS
 
 FUSIONS = ("last", "per_layer")
+WAY_AHEAD = (10.0, 20.0, 30.0, 45.0)  # m ahead along its way, where the ego looks how far that bends aside
+EGO_WAY = 1 + len(WAY_AHEAD)  # inputs of `ego_way`
 TEMPORAL_EDGES = ("all", "consecutive", "causal")
 _LIMITS = {
     "commands": (COMMANDS, MOST_COMMANDS), "hidden": (1, 256), "heads": (1, 16), "head_width": (1, 64),
     "layers": (1, 8), "mlp_width": (1, 1024), "position_scale": (1e-4, 1.0), "attn_slope": (0.0, 1.0),
+    "frame_stride": (1, FRAMES),
 }  # fmt: skip
-_SWITCHES = ("edge_attributes", "temporal", "node_time", "relu_logits", "velocity", "ego_speed", "class_input")
+_SWITCHES = (
+    "edge_attributes",
+    "temporal",
+    "node_time",
+    "relu_logits",
+    "velocity",
+    "ego_speed",
+    "class_input",
+    "ego_way",
+)
 
 
 def _check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:
@@ -51,6 +63,8 @@ class StGraphConfig:
     velocity: bool = False  # nodes carry their track's least-squares velocity over the window, the ego node its speed
     ego_speed: bool = False  # the ego's speed beside the command
     class_input: bool = False  # nodes say whether they are a truck
+    ego_way: bool = False  # every node carries the ego's speed and how far its way bends aside (WAY_AHEAD)
+    frame_stride: int = 1  # the newest frame and every so manieth before it have nodes; velocities are of all
     commands: int = COMMANDS  # that its scenarios have; more than six where one brings its own
 
     def __post_init__(self) -> None:
@@ -63,11 +77,17 @@ class StGraphConfig:
             self._refuse_what_needs_time()
 
     def _refuse_what_needs_time(self) -> None:
-        for name, idle in (("node_time", False), ("velocity", False), ("fusion", "last"), ("temporal_edges", "all")):
+        for name, idle in (
+            ("node_time", False),
+            ("velocity", False),
+            ("fusion", "last"),
+            ("temporal_edges", "all"),
+            ("frame_stride", 1),
+        ):
             if getattr(self, name) != idle:
                 raise ValueError(f"network {name} must be {idle!r} when temporal is False, got {getattr(self, name)!r}")
 
     @property
     def node_inputs(self) -> int:
         """Numbers that a node carries: x, y, z and what the options add."""
-        return 3 + self.node_time + 2 * self.velocity + self.class_input
+        return 3 + self.node_time + 2 * self.velocity + self.class_input + EGO_WAY * self.ego_way

@@ -13,11 +13,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from cad_env.types import STEP, TRUCK
-from policies.stgraph.config import StGraphConfig
+from cad_env.types import ROUTE_SPACING, STEP, TRUCK
+from policies.stgraph.config import WAY_AHEAD, StGraphConfig
 
 NEVER = -1e30  # as good as minus infinity in a softmax, and finite: a row without any edge has finite gradients
 VELOCITY_SCALE = 1 / 10  # s/m; city speeds come out near 1
+WAY_SCALE = 1 / 10  # 1/m; a turn and a swing out come out near 1
+WAY_POINTS = tuple(round(ahead / ROUTE_SPACING) - 1 for ahead in WAY_AHEAD)  # of the observed route
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ def graph_tensors(observation: Mapping[str, Tensor], config: StGraphConfig, dtyp
     position = torch.where(mask, tracks[:, :used].permute(3, 1, 2, 0), 0).to(dtype)
     time = STEP * torch.arange(1 - mask.shape[1], 1, device=tracks.device, dtype=dtype)
     nodes, ego = _inputs(position, mask, time, observation, config)
+    kept = slice((len(time) - 1) % config.frame_stride, None, config.frame_stride)
+    nodes, position, mask, time = nodes[:, :, kept], position[:, :, kept], mask[:, kept], time[kept]
     temporal = _temporal(mask, time, config.temporal_edges) if config.temporal else None
     return GraphTensors(nodes, ego, _spatial(config.position_scale * position, mask), temporal)
 
@@ -81,7 +85,17 @@ def _inputs(
         truck = (observation["kind"][:, : len(mask)] == TRUCK).to(position.dtype)
         nodes.append(truck.T[None, :, None].expand(1, *mask.shape))
         ego.append(nothing)
+    if config.ego_way:
+        told = ego_way(observation, position.dtype)
+        nodes.append(told[:, None, None].expand(-1, *mask.shape))
+        ego.append(told[:, None, None])
     return torch.cat(nodes) * mask, torch.cat(ego)
+
+
+def ego_way(observation: Mapping[str, Tensor], dtype: torch.dtype) -> Tensor:
+    """The ego's speed, and how far to its left its way is at WAY_AHEAD, (EGO_WAY, B), scaled."""
+    aside = WAY_SCALE * observation["route"][:, WAY_POINTS, 1].to(dtype).T
+    return torch.cat([ego_speed(observation, dtype), aside])
 
 
 def ego_speed(observation: Mapping[str, Tensor], dtype: torch.dtype) -> Tensor:

@@ -24,7 +24,8 @@ class StGraphPolicy(ThresholdPolicy):
     def __init__(self, network: StGraphNet, threshold: float = 0.5) -> None:
         config = network.config
         keys = ["tracks", "mask", "command"]
-        keys += ["ego"] * (config.velocity or config.ego_speed) + ["kind"] * config.class_input
+        keys += ["ego"] * (config.velocity or config.ego_speed or config.ego_way)
+        keys += ["kind"] * config.class_input + ["route"] * config.ego_way
         super().__init__(keys, threshold, config.commands)
         self._logits = FusedNet(network) if supports(config) else DenseNet(network, _AT_ONCE)
 

@@ -8,15 +8,16 @@ import numpy as np
 from torch import Tensor, nn
 
 from cad_env.simulation.simulation import Simulation
-from cad_env.types import FRAMES, OBSERVED_TRACKS, Floats, Ints, Observation
+from cad_env.types import FRAMES, OBSERVED_TRACKS, ROUTE_POINTS, Floats, Ints, Observation
 from policies.spec import SpecDefaults
 from policies.stgraph.compiled.module import fused_logits
+from policies.stgraph.features import WAY_POINTS
 from policies.stgraph.network import StGraphConfig, StGraphNet
 from policies.stgraph.policy import StGraphPolicy
 
 SLOTS = OBSERVED_TRACKS * FRAMES
 CENTIMETRE = np.float32(0.01)  # m; as fine as messages carry positions, and much finer than the sensors
-_PARTS = ("label", "command", "ego", "kind", "first_node", "nodes")
+_PARTS = ("label", "command", "ego", "kind", "aside", "first_node", "nodes")
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class GraphFrames:
     command: Ints  # (F, 6) int8
     ego: Floats  # (F, 4) float32
     kind: Ints  # (F, K) int8
+    aside: Ints  # (F, W) int16 cm, to the left: the points of the route that the network reads
     part: Ints  # (F,) int32 the part that the frame is in
     first_node: Ints  # (F,) int64 in that part
     nodes: Ints  # (F,) int16 how many from there on
@@ -50,12 +52,15 @@ class GraphFrames:
             slot = self.slot[part][start:end]
             tracks[row, slot] = CENTIMETRE * self.position[part][start:end]
             mask[row, slot] = 1
+        route = np.zeros((len(frames), ROUTE_POINTS, 2), np.float32)
+        route[:, WAY_POINTS, 1] = CENTIMETRE * self.aside[frames]
         return {
             "tracks": tracks.reshape(-1, OBSERVED_TRACKS, FRAMES, 3),
             "mask": mask.reshape(-1, OBSERVED_TRACKS, FRAMES),
             "command": self.command[frames],
             "ego": self.ego[frames],
             "kind": self.kind[frames],
+            "route": route,
         }
 
     def joined(self, others: "Sequence[GraphFrames]") -> "GraphFrames":
@@ -79,6 +84,7 @@ class SeenGraph:
     command: Ints  # (6,) int8
     ego: Floats  # (4,) float32
     kind: Ints  # (K,) int8
+    aside: Ints  # (W,) int16 cm
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,9 @@ class StGraphSpec(SpecDefaults):
         slot = np.flatnonzero(observation["mask"].reshape(-1))
         position = observation["tracks"].reshape(-1, 3)[slot]
         rounded = np.rint(position / CENTIMETRE).astype(np.int16)
-        return SeenGraph(slot.astype(np.uint8), rounded, *(observation[name] for name in ("command", "ego", "kind")))
+        aside = np.rint(observation["route"][list(WAY_POINTS), 1] / CENTIMETRE).astype(np.int16)
+        command, ego, kind = (observation[name] for name in ("command", "ego", "kind"))
+        return SeenGraph(slot.astype(np.uint8), rounded, command, ego, kind, aside)
 
     def frames(self, looks: Sequence[SeenGraph], labels: Sequence[int]) -> GraphFrames:
         """All graphs in one record."""
@@ -106,6 +114,7 @@ class StGraphSpec(SpecDefaults):
             command=np.array([seen.command for seen in looks], np.int8),
             ego=np.array([seen.ego for seen in looks], np.float32),
             kind=np.array([seen.kind for seen in looks], np.int8),
+            aside=np.array([seen.aside for seen in looks], np.int16),
             part=np.zeros(len(looks), np.int32),
             first_node=np.cumsum([0] + [len(seen.slot) for seen in looks[:-1]]).astype(np.int64),
             nodes=np.array([len(seen.slot) for seen in looks], np.int16),

@@ -26,7 +26,7 @@ class Scenes(VecEnv):
     def __init__(self, count: int, scenarios: Sequence[str], radio: str, config: StGraphConfig) -> None:
         self.scenes = CADVectorEnv(count, "Disabled", scenario=scenarios, radio=radio)
         whole = self.scenes.single_observation_space
-        ego = ["ego"] * (config.velocity or config.ego_speed)
+        ego = ["ego"] * (config.velocity or config.ego_speed or config.ego_way)
         self.names = ["tracks", "mask", "command", *ego, *["kind"] * config.class_input]
         self.render_mode = None
         super().__init__(count, spaces.Dict({name: whole[name] for name in self.names}), spaces.Discrete(2))

@@ -14,6 +14,7 @@ from baselines.controls.policies import control
 from baselines.evaluation.job import job_of
 from baselines.evaluation.settings import Settings
 from baselines.methods import (
+    LEARNED,
     METHODS,
     SHIPPED_METHODS,
     Always,
@@ -33,6 +34,7 @@ from cad_env.scenarios import SHIPPED
 from cad_env.scoring.rollout import BatchPolicy, rollout
 from cad_env.types import BRAKE, GO, Policy
 from policies.model_folder import SavedModel, save_model
+from policies.stgraph.config import StGraphConfig
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.policy import StGraphPolicy
 
@@ -44,8 +46,9 @@ def policy_of(name: str, models: Path) -> Policy:
 
 @pytest.fixture
 def models(tmp_path: Path) -> Path:
-    for name, seed in (("stgraph", 1), ("stgraph-own", 2)):
-        save_model(tmp_path / name, SavedModel(StGraphNet(seed=seed), 0.25 * seed))
+    for seed, name in enumerate((name for name in SHIPPED_METHODS if name in LEARNED), 1):
+        network = StGraphNet(StGraphConfig(**LEARNED[name].config), seed=seed)
+        save_model(tmp_path / name, SavedModel(network, 0.2 * seed))
     return tmp_path
 
 
@@ -54,8 +57,12 @@ def test_the_table_has_its_rows_by_their_own_names() -> None:
     assert all(method_named(name).name == name for name in METHODS)
 
 
-def test_of_those_that_ship_only_two_are_sent_anything() -> None:
-    assert [name for name in SHIPPED_METHODS if method_named(name).shares] == ["planner-shared", "stgraph"]
+def test_of_those_that_ship_only_three_are_sent_anything() -> None:
+    assert [name for name in SHIPPED_METHODS if method_named(name).shares] == [
+        "planner-shared",
+        "stgraph",
+        "stgraph-motion",
+    ]
 
 
 def test_only_the_expert_sees_the_truth_and_a_control_its_own_row(models: Path) -> None:
@@ -86,7 +93,7 @@ def test_each_learned_method_drives_its_own_model(models: Path) -> None:
     assert isinstance(shared, StGraphPolicy)
     assert isinstance(own, StGraphPolicy)
     assert isinstance(shared, BatchPolicy)
-    assert (shared.threshold, own.threshold) == (0.25, 0.5)
+    assert (shared.threshold, own.threshold) == (0.2, 0.4)
 
 
 def test_a_method_without_its_model_says_how_to_train_it(tmp_path: Path) -> None:

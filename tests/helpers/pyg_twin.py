@@ -27,7 +27,7 @@ class Node:
     time: float
 
 
-def to_hetero_data(tracks, mask, command, ego, kind, config: StGraphConfig) -> HeteroData:
+def to_hetero_data(tracks, mask, command, ego, kind, route, config: StGraphConfig) -> HeteroData:
     """One observation as a PyG graph; its first node is the ego."""
     frames = mask.shape[1]
     first = 0 if config.temporal else frames - 1
@@ -35,8 +35,10 @@ def to_hetero_data(tracks, mask, command, ego, kind, config: StGraphConfig) -> H
     for k, t in zip(*np.nonzero(mask), strict=True):
         if t >= first:
             nodes.append(Node(int(k), int(t), tracks[k, t].astype(float), STEP * (int(t) - frames + 1)))
+    every, stride = nodes, config.frame_stride
+    nodes = [node for node in every if node.track == -1 or (frames - 1 - node.frame) % stride == 0]
     data = HeteroData()
-    data["object"].x = torch.tensor(np.array([_inputs(node, nodes, ego, kind, config) for node in nodes]))
+    data["object"].x = torch.tensor(np.array([_inputs(node, every, ego, kind, route, config) for node in nodes]))
     data["object"].is_ego = torch.tensor([node.track == -1 for node in nodes])
     data.command = torch.tensor(np.array([command], dtype=float))
     data.speed = torch.tensor([[float(ego[0]) / 10]], dtype=torch.float64)
@@ -61,7 +63,7 @@ def _gap(source: Node, target: Node, config: StGraphConfig) -> float:
     return source.time - target.time
 
 
-def _inputs(node: Node, nodes: list[Node], ego, kind, config: StGraphConfig) -> list[float]:
+def _inputs(node: Node, nodes: list[Node], ego, kind, route, config: StGraphConfig) -> list[float]:
     inputs = list(config.position_scale * node.position)
     if config.node_time:
         inputs.append(node.time)
@@ -69,6 +71,8 @@ def _inputs(node: Node, nodes: list[Node], ego, kind, config: StGraphConfig) -> 
         inputs += [float(ego[0]) / 10, 0.0] if node.track == -1 else list(_slope(node, nodes) / 10)
     if config.class_input:
         inputs.append(0.0 if node.track == -1 else float(kind[node.track] == 1))
+    if config.ego_way:
+        inputs += [float(ego[0]) / 10, *(float(route[ahead // 2 - 1, 1]) / 10 for ahead in (10, 20, 30, 45))]
     return inputs
 
 

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from baselines.evaluation.noted_conditions import noted_conditions
 from baselines.evaluation.report.figures import knowledge_of
 from baselines.evaluation.report.page import html_page
 from baselines.evaluation.report.plots import all_plots
@@ -28,7 +29,7 @@ def write_report(folder: Path) -> Path:
     rows, settings = scorecards(records), read_settings(folder, ("first_seed", "episodes"))
     knows = knowledge_of(settings)
     shown, left = _animations(folder, records, knows)
-    html = html_page(settings, rows, all_plots(rows, records, knows), shown, left)
+    html = html_page(settings, rows, all_plots(rows, records, knows, noted_conditions(settings)), shown, left)
     replace_text(folder / REPORT, html)
     return folder / REPORT
 
@@ -44,16 +45,17 @@ def _animations(folder: Path, records: Sequence[Record], knows: Mapping[str, str
         if room < 0:
             break
         scene, kind = record.scenario.replace("_", " "), "a hazard" if record.hazard else "no hazard"
-        shown[f"{scene}, {record.method}: {record.outcome}, {kind}, seed {record.seed}"] = data
+        under = "" if record.condition is None else f" under {record.condition}"
+        shown[f"{scene}{under}, {record.method}: {record.outcome}, {kind}, seed {record.seed}"] = data
     return shown, len(there) - len(shown)
 
 
 def _most_telling_first(records: Sequence[Record], knows: Mapping[str, str]) -> list[Record]:
     """One of each kind before a second; methods that know something first, then hazards, then collisions."""
-    seen: Counter[tuple[str, str, str, bool]] = Counter()
+    seen: Counter[tuple[str | None, str, str, str, bool]] = Counter()
     ranks = []
     for place, record in enumerate(records):
-        kind = record.scenario, record.method, record.outcome, record.hazard
+        kind = record.condition, record.scenario, record.method, record.outcome, record.hazard
         blind = knows.get(record.method, KNOWS_NOTHING) == KNOWS_NOTHING
         ranks.append((seen[kind], blind, not record.hazard, TELLING.index(record.outcome), record.method, place))
         seen[kind] += 1

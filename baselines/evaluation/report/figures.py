@@ -52,10 +52,13 @@ def arms(value: float, low: float, high: float, scale: float = 100.0) -> list[li
 
 
 def panels(scenarios: Sequence[str], rows: int, height: float, **options: Any) -> tuple[Figure, list[dict[str, Axes]]]:
-    """A figure of some height (inches) with so many rows of panels, each by scenario; titles over the first."""
+    """A figure of some height (inches) with so many rows of panels, each by scenario; titles over the first.
+
+    options: of `Figure.subplots`; unless they say otherwise, all panels share the vertical axis.
+    """
     width = 1.6 + _WIDTHS.get(len(scenarios), _WIDTH) * len(scenarios)
     figure = Figure((width, height), layout=ConstrainedLayoutEngine(wspace=0.06))
-    grid = figure.subplots(rows, len(scenarios), sharey=True, squeeze=False, **options)
+    grid = figure.subplots(rows, len(scenarios), squeeze=False, **{"sharey": True, **options})
     for scenario, axes in zip(scenarios, grid[0], strict=True):
         axes.set_title(scenario.replace("_", " "), fontsize=10.5, loc="left", fontweight="bold")
     return figure, [dict(zip(scenarios, row, strict=True)) for row in grid]

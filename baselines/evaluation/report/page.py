@@ -6,11 +6,12 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
+from baselines.evaluation.noted_conditions import met_in_words
 from baselines.evaluation.report.figures import Plot, knowledge_of
 from cad_env.scoring.scorecard import Scorecard
-from cad_env.scoring.table import TITLES, cells_of, percent
+from cad_env.scoring.table import TITLES, cells_of, percent, seconds
 
-SAID_ELSEWHERE = ("scenario", "method", "command", "episodes", "first_seed")
+SAID_ELSEWHERE = ("condition", "scenario", "method", "command", "episodes", "first_seed")
 _UNITS = {"sensor_noise": "m", "gnss_noise": "m", "delay": "s", "range": "m", "depth": "frames"}
 CSS = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 76rem; margin: 2rem auto;
@@ -39,11 +40,12 @@ INTRODUCTION = """In each episode the ego has to cross the way of vehicles that 
 second: go or brake. In a hazard one of them would hit an ego that never brakes. Connected vehicles send what they
 see over a radio; methods differ in what they know and in how they decide."""
 LEGEND = """Rates are in per cent with their 95 % Wilson interval. Hazard: all episodes, those with a hazard (yes), or
-without (no). Time lost: how much later than the expert it arrives on the same seed, its mean and its 90th percentile
-with their 95 % intervals; who waits until time is up has lost the time up to then, and a collision has no time. Time:
-mean until the outcome. Bytes: of a message on average, of the largest, and in a second by all connected vehicles
-together. Min TTC: the smallest time to contact with anybody in any episode. Needless brakes: share of the episodes
-without a hazard in which it brakes at all."""
+without (no). Time lost: how much later than the expert it arrives on the same seed, its mean and its 90th
+percentile with their 95 % intervals; who waits until time is up has lost the time up to then, and a
+collision has no time. Time: mean until the outcome; of successes alone with its 95 % interval, which
+without a hazard is the calm time. Bytes: of a message on average, of the largest, and in a second by all
+connected vehicles together. Min TTC: the smallest time to contact with anybody in any episode. Needless
+brakes: share of the episodes without a hazard in which it brakes at all."""
 
 
 def html_page(
@@ -54,11 +56,12 @@ def html_page(
     body = [
         f"<h1>{escape(title)}</h1>",
         f"<p>{INTRODUCTION}</p>",
+        f"<p>{'<br>'.join(map(escape, met_in_words(settings)))}</p>",
         _made_with(settings),
         *(_plot(plot) for plot in plots),
         "<h2>All numbers</h2>",
         f'<p class="note">{LEGEND}</p>',
-        *(_table(scenario, list(part), knows) for scenario, part in groupby(rows, lambda row: row.scenario)),
+        *(_table(*place, list(part), knows) for place, part in groupby(rows, _place)),
         _pictures(gifs, left) if gifs else "",
     ]
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
@@ -73,7 +76,9 @@ def _title(rows: Sequence[Scorecard]) -> str:
     counts = sorted({row.episodes for row in whole})
     methods = len({row.method for row in whole})
     who = "1 method" if methods == 1 else f"{methods} methods"
-    return f"{', '.join(scenes).capitalize()}: {who}, {counts[0]} episodes each"
+    conditions = len({row.condition for row in rows})
+    under = f" under {conditions} conditions" if conditions > 1 else ""
+    return f"{', '.join(scenes).capitalize()}: {who}{under}, {counts[0]} episodes each"
 
 
 def _made_with(settings: Mapping[str, Any]) -> str:
@@ -102,12 +107,18 @@ def _plot(plot: Plot) -> str:
     return f"<h2>{escape(plot.title)}</h2>\n<figure>{image}<figcaption>{escape(plot.caption)}</figcaption></figure>"
 
 
-def _table(scenario: str, rows: Sequence[Scorecard], knows: Mapping[str, str]) -> str:
-    titles = (*TITLES[1:], "bytes/s", "min TTC s", "hit from behind", "needless brakes %")
+def _place(row: Scorecard) -> tuple[str | None, str]:
+    return row.condition, row.scenario
+
+
+def _table(condition: str | None, scenario: str, rows: Sequence[Scorecard], knows: Mapping[str, str]) -> str:
+    titles = (*TITLES[1:], "time of successes s [95 %]", "bytes/s", "min TTC s", "hit from behind", "needless brakes %")
     head = "".join(f"<th{_kind(k)}>{escape(title)}</th>" for k, title in enumerate(titles))
     lines = "\n".join(_lines(list(group), knows) for _, group in groupby(rows, lambda row: row.method))
+    where = scenario.replace("_", " ").capitalize()
     return (
-        f'<h3>{escape(scenario.replace("_", " ").capitalize())}</h3>\n<div class="wide"><table>\n'
+        f"<h3>{escape(where if condition is None else f'{condition}: {where}')}</h3>\n"
+        '<div class="wide"><table>\n'
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n{lines}\n</tbody></table></div>"
     )
 
@@ -121,6 +132,7 @@ def _lines(rows: Sequence[Scorecard], knows: Mapping[str, str]) -> str:
 
 def _line(name: str, row: Scorecard) -> str:
     more = (
+        seconds(row.mean_time_success, row.mean_time_success_low, row.mean_time_success_high),
         f"{row.bytes_per_second:.0f}", "-" if row.min_ttc is None else f"{row.min_ttc:.2f}",
         str(row.struck_from_behind),
         percent(row.needless_brakes, row.needless_low, row.needless_high),

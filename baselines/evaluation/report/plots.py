@@ -1,6 +1,7 @@
 """Scores -> plots, rates with their 95 % Wilson interval."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 from baselines.controls.names import is_control
 from baselines.evaluation.report.figures import (
@@ -15,13 +16,25 @@ from baselines.evaluation.report.figures import (
     panels,
     scenarios_in,
 )
+from baselines.evaluation.report.matrix import matrices
+from baselines.evaluation.report.penetration import penetration_steps, worth_of_sharing
 from baselines.evaluation.report.time_plots import deadlines, tradeoff
 from baselines.plot_style import styled
+from cad_env.conditions import Condition
 from cad_env.scoring.scorecard import Record, Scorecard
 
 
-def all_plots(rows: Sequence[Scorecard], records: Sequence[Record], knows: Knows) -> list[Plot]:
-    """All plots that have something to show."""
+def all_plots(
+    rows: Sequence[Scorecard],
+    records: Sequence[Record],
+    knows: Knows,
+    conditions: Mapping[str | None, Condition] = MappingProxyType({}),
+) -> list[Plot]:
+    """All plots that have something to show: of one condition in detail, of several side by side."""
+    if len({row.condition for row in rows}) > 1:
+        steps = penetration_steps(conditions)
+        with styled():
+            return [*matrices(rows, knows), *([worth_of_sharing(rows, knows, steps)] if len(steps) > 1 else [])]
     whole = [row for row in rows if row.hazard == "all"]
     with styled():
         drawn = [collisions(whole, knows), successes(whole, knows)]

@@ -26,25 +26,33 @@ class NodeList(NamedTuple):
     start: Ints  # (B + 1,)
     group: Ints  # (N,) the frame or track of a node; of an ego -1
     time: Floats  # (N,) s; now is 0
-    inputs: Floats  # (N, F + 1) scaled place, velocity if wanted, and 1 for the bias
+    inputs: Floats  # (N, F + 1) scaled place, velocity if wanted, what all are told, and 1 for the bias
 
 
 @compiled
 def list_graph(
-    tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float, velocity: bool
-) -> tuple[NodeList, Edges]:
-    """The graphs of tracks (B, K, T, 3) m, mask (B, K, T) and ego (B, 4), as one of its relations sees them."""
-    nodes = _list(tracks, mask, ego, relation, scale, velocity)
+    tracks: Singles, mask: Ints, ego: Singles, told: Floats, relation: int, scale: float, velocity: bool,
+    stride: int,
+) -> tuple[NodeList, Edges]:  # fmt: skip
+    """The graphs of tracks (B, K, T, 3) m, mask (B, K, T) and ego (B, 4), as one of its relations sees them.
+
+    told (B, W): what every node of a graph carries beside its own inputs; stride: every how many frames have nodes.
+    """
+    nodes = _list(tracks, mask, ego, told, relation, scale, velocity, stride)
     edges = _link(nodes)
     _measure(nodes, edges, relation)
     return nodes, edges
 
 
 @compiled_part
-def _list(tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float, velocity: bool) -> NodeList:
+def _list(
+    tracks: Singles, mask: Ints, ego: Singles, told: Floats, relation: int, scale: float, velocity: bool,
+    stride: int,
+) -> NodeList:  # fmt: skip
     """Frame by frame or, for temporal edges, track by track."""
     B, K, T = mask.shape
-    most, width = B * (K * T + 1), 6 if velocity else 4
+    own = 5 if velocity else 3
+    most, width = B * (K * T + 1), own + told.shape[1] + 1
     start, group = np.zeros(B + 1, np.int64), np.empty(most, np.int64)
     time, inputs = np.zeros(most), np.zeros((most, width))
     n, groups = 0, T if relation == SPATIAL else K
@@ -52,7 +60,7 @@ def _list(tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float
         for g in range(groups):
             for m in range(K + T - groups):
                 k, t = (m, g) if relation == SPATIAL else (g, m)
-                if mask[b, k, t] != 0:
+                if mask[b, k, t] != 0 and (T - 1 - t) % stride == 0:
                     group[n], time[n] = g, STEP * (t - (T - 1))
                     for axis in range(3):
                         inputs[n, axis] = scale * np.float64(tracks[b, k, t, axis])
@@ -64,8 +72,11 @@ def _list(tracks: Singles, mask: Ints, ego: Singles, relation: int, scale: float
             inputs[n, 3] = VELOCITY_SCALE * np.float64(ego[b, 0])
         n += 1
         start[b + 1] = n
-    for i in range(n):
-        inputs[i, width - 1] = 1.0
+    for b in range(B):
+        for i in range(start[b], start[b + 1]):
+            for w in range(told.shape[1]):
+                inputs[i, own + w] = told[b, w]
+            inputs[i, width - 1] = 1.0
     return NodeList(start, group[:n], time[:n], inputs[:n])
 
 

@@ -21,6 +21,7 @@ from policies.stgraph.compiled.attention import HEADS, LayerWeights, multiply
 from policies.stgraph.compiled.passes import GraphBatch, Weights, backward, forward
 from policies.stgraph.compiled.relation_weights import Matter
 from policies.stgraph.config import StGraphConfig
+from policies.stgraph.features import ego_way
 from policies.stgraph.network import Importance, RelationLayer, StGraphNet
 
 _AT_ONCE = 16  # graphs: what they keep fits into a processor's cache
@@ -54,7 +55,8 @@ def fused_embedding(network: StGraphNet, observation: Mapping[str, Tensor]) -> T
     """What `network.embed(observation)` gives, (B, D), and its gradients; dense where it is not supported."""
     if not _is_fused(network):
         return network.embed(observation)
-    batch = _batch({key: observation[key].numpy() for key in ("tracks", "mask", "ego") if key in observation})
+    read = ("tracks", "mask", "ego", "route")
+    batch = _batch({key: observation[key].numpy() for key in read if key in observation}, network.config)
     embedded: Tensor = _Embed.apply(batch, network.config, *_weights(network))  # type: ignore[no-untyped-call]
     return embedded.to(network.project.weight.dtype)
 
@@ -80,7 +82,7 @@ class FusedNet:
 
     def __call__(self, observation: Mapping[str, NDArray[Any]]) -> Floats:
         """Logits (B, 2)."""
-        parts = _parts(_batch(observation))
+        parts = _parts(_batch(observation, self._config))
         embedded = [forward(part, self._config, self._weights).embedding for part in parts]
         x = np.concatenate([np.concatenate(embedded), observation["command"]], axis=1)
         for weight, bias in self._decide[:-1]:
@@ -119,7 +121,7 @@ def _keep_freed_memory() -> None:
     np.empty(31 << 20, np.uint8)
 
 
-def _batch(observation: Mapping[str, NDArray[Any]]) -> GraphBatch:
+def _batch(observation: Mapping[str, NDArray[Any]], config: StGraphConfig) -> GraphBatch:
     """The arrays of a batch, of the one type that the loops are compiled for."""
     tracks, mask = observation["tracks"], observation["mask"]
     if tracks.ndim != 4 or tracks.shape[-1] != 3 or mask.shape != tracks.shape[:-1]:
@@ -128,12 +130,21 @@ def _batch(observation: Mapping[str, NDArray[Any]]) -> GraphBatch:
         np.ascontiguousarray(tracks, np.float32),
         np.ascontiguousarray(mask != 0).view(np.int8),
         np.ascontiguousarray(observation["ego"] if "ego" in observation else np.zeros((len(mask), 1)), np.float32),
+        _told(observation, config),
     )
+
+
+def _told(observation: Mapping[str, NDArray[Any]], config: StGraphConfig) -> Floats:
+    if not config.ego_way:
+        return np.zeros((len(observation["mask"]), 0))
+    read = {key: torch.from_numpy(np.ascontiguousarray(observation[key])) for key in ("ego", "route")}
+    return np.ascontiguousarray(ego_way(read, torch.float64).T.numpy())
 
 
 def _parts(batch: GraphBatch) -> Iterator[GraphBatch]:
     for at in range(0, max(len(batch.mask), 1), _AT_ONCE):
-        yield GraphBatch(*(array[at : at + _AT_ONCE] for array in batch))
+        part = slice(at, at + _AT_ONCE)
+        yield GraphBatch(batch.tracks[part], batch.mask[part], batch.ego[part], batch.told[part])
 
 
 def _weights(network: StGraphNet) -> list[Tensor]:

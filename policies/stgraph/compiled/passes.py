@@ -24,6 +24,7 @@ class GraphBatch(NamedTuple):
     tracks: Singles  # (B, K, T, 3) m
     mask: Ints  # (B, K, T) int8
     ego: Singles  # (B, 4) the first is the speed, m/s
+    told: Floats  # (B, W) what every node is told: W is 0 without `ego_way`
 
 
 class Weights(NamedTuple):
@@ -70,7 +71,7 @@ def forward(batch: GraphBatch, config: StGraphConfig, weights: Weights) -> Pass:
 def _relate(
     batch: GraphBatch, kind: int, config: StGraphConfig, layers: tuple[LayerWeights, LayerWeights], matter: Matter
 ) -> RelationPass:
-    nodes, edges = list_graph(*batch, kind, config.position_scale, config.velocity)
+    nodes, edges = list_graph(*batch, kind, config.position_scale, config.velocity, config.frame_stride)
     first = attention_layer(edges, nodes.inputs, layers[0], config.attn_slope)
     second = attention_layer(edges, np.maximum(first.heard, 0), layers[1], config.attn_slope)
     return RelationPass(nodes, edges, first, second, judge(nodes.start, second.heard, matter))

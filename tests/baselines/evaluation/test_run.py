@@ -242,12 +242,12 @@ def test_an_interruption_loses_no_episode_that_has_ended(
 ) -> None:
     ended = 0
 
-    def record(episode: Episode) -> Record:
+    def record(episode: Episode, condition: str | None) -> Record:
         nonlocal ended
         ended += 1
         if ended > 2:
             raise KeyboardInterrupt
-        return record_of(episode)
+        return record_of(episode, condition)
 
     monkeypatch.setattr(scoring, "record_of", record)
     assert run(tmp_path, *SOME) == 130

@@ -54,11 +54,11 @@ def test_stopped_by_ctrl_c_it_goes_on_to_a_table(tmp_path: Path) -> None:
     )
     assert second.returncode == 0, second.stderr
     assert all(shard.stat().st_mtime_ns == then for shard, then in kept.items())
-    assert "stgraph-own" in second.stdout
-    for name in ("stgraph", "stgraph-own"):
+    assert "stgraph-motion-own" in second.stdout
+    for name in train.MAIN_METHODS:
         assert {"model.safetensors", "config.json", "metrics.csv"} <= {p.name for p in (out / name).iterdir()}
     rows = json.loads(next(out.glob("scores_*/scores.json")).read_text())
-    assert {row["method"] for row in rows} == {*train.REFERENCE_METHODS, "stgraph", "stgraph-own"}
+    assert {row["method"] for row in rows} == {*train.REFERENCE_METHODS, *train.MAIN_METHODS}
 
 
 @pytest.mark.parametrize(

@@ -218,24 +218,6 @@ def test_penetration_is_the_share_of_all_vehicles_without_a_minimum(scenario: Sc
 
 
 @EVERY
-@pytest.mark.parametrize("penetration", [0.1, 0.4])
-def test_each_vehicle_is_connected_with_the_probability_of_the_penetration_by_itself(
-    scenario: Scenario, penetration: float
-):
-    scenes = scenes_of(scenario, "light", penetration, count=400)
-    error = 4.5 * math.sqrt(penetration * (1.0 - penetration) / len(scenes))
-    for row in range(1, min(min(scene.hidden, default=9) for scene in scenes)):
-        assert abs(sum(row in scene.connected for scene in scenes) / len(scenes) - penetration) < error
-    some, expected, spread = 0, 0.0, 0.0
-    for seed, scene in enumerate(scenes):
-        witnesses = cast(scenario, seed).witnesses
-        some += not set(witnesses).isdisjoint(scene.connected)
-        chance = 1.0 - (1.0 - penetration) ** len(witnesses)
-        expected, spread = expected + chance, spread + chance * (1.0 - chance)
-    assert abs(some - expected) < 4.5 * math.sqrt(spread)
-
-
-@EVERY
 def test_more_traffic_leaves_the_connection_of_the_actors_alone(scenario: Scenario):
     for few, many in zip(scenes_of(scenario, "none", 0.4), scenes_of(scenario, "dense", 0.4), strict=True):
         assert few.connected == tuple(row for row in many.connected if row < len(few.placements))

@@ -109,6 +109,38 @@ def test_rows_count_what_happened() -> None:
     assert calm.min_ttc is None
 
 
+def test_the_time_of_successes_has_the_interval_of_a_mean() -> None:
+    calm = scorecards([CALM, replace(CALM, seed=4, time=12.0), replace(CALM, seed=5, time=14.0), STUCK])[1]
+    assert (calm.hazard, calm.mean_time_success) == ("no", 12.0)
+    half = 1.959964 * 2.0 / 3**0.5
+    assert (calm.mean_time_success_low, calm.mean_time_success_high) == pytest.approx((12.0 - half, 12.0 + half))
+    crashed = scorecards([CRASH])[0]
+    assert crashed.mean_time_success is crashed.mean_time_success_low is crashed.mean_time_success_high is None
+
+
+def test_conditions_are_groups_of_their_own_each_with_its_expert() -> None:
+    late = replace(CALM, method="mine", time=13.0)
+    some = [CALM, late, replace(CALM, condition="dense", time=12.0), replace(late, condition="dense")]
+    rows = [row for row in scorecards(some) if row.hazard == "all"]
+    assert [(row.condition, row.method, row.time_lost) for row in rows] == [
+        (None, "expert", 0.0), (None, "mine", 3.0), ("dense", "expert", 0.0), ("dense", "mine", 1.0),
+    ]  # fmt: skip
+    alone = scorecards([replace(late, condition="dense")], expert=[CALM, replace(CALM, condition="dense", time=12.0)])
+    assert alone[0].time_lost == 1.0
+    parts = table(rows).split("\n\n")
+    assert [part.splitlines()[0].split()[0] for part in parts] == ["scenario", "condition:", "scenario"]
+    assert parts[1] == "condition: dense"
+
+
+def test_a_line_names_its_condition_only_if_there_is_one() -> None:
+    assert "condition" not in json.loads(CALM.line())
+    named = replace(CALM, condition="alone")
+    assert json.loads(named.line())["condition"] == "alone"
+    assert parse_record(named.line()) == named
+    with pytest.raises(ValueError, match="cannot have condition 3"):
+        parse_record(named.line().replace('"alone"', "3"))
+
+
 def test_braking_is_needless_only_where_there_is_no_hazard() -> None:
     everything, hazard, calm = scorecards([CALM, CRASH, STUCK])
     assert everything.needless_brakes is hazard.needless_brakes is None

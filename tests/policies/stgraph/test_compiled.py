@@ -35,6 +35,8 @@ FUSED = {
     "relu attention": VARIANTS["relu attention"],
     "no edge attributes": VARIANTS["no edge attributes"],
     "velocity": StGraphConfig(velocity=True),
+    "ego way": StGraphConfig(ego_way=True),
+    "every third frame": VARIANTS["every third frame"],
     "other widths": StGraphConfig(head_width=2, hidden=5, mlp_width=9, position_scale=0.1, attn_slope=1.0),
 }
 DENSE = {name: config for name, config in VARIANTS.items() if name not in FUSED} | {
@@ -216,7 +218,7 @@ def test_any_other_network_goes_the_dense_way(name: str) -> None:
 
 def test_every_knob_of_the_network_is_either_computed_or_left_to_the_dense_one() -> None:
     told = {"attn_slope", "position_scale", "hidden", "mlp_width", "head_width", "edge_attributes", "velocity",
-            "commands"}  # fmt: skip
+            "commands", "ego_way", "frame_stride"}  # fmt: skip
     left = {"heads", "layers", "fusion", "temporal_edges", "temporal", "node_time", "relu_logits", "ego_speed"}
     assert {knob.name for knob in dataclasses.fields(StGraphConfig)} == told | left | {"class_input", "commands"}
     assert all(map(supports, FUSED.values()))

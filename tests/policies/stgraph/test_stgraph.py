@@ -13,7 +13,7 @@ from policies.stgraph.network import StGraphConfig, StGraphNet, _WeightedSum
 torch.set_num_threads(1)
 
 PAPER = StGraphConfig()
-EVERY_INPUT = StGraphConfig(node_time=True, velocity=True, ego_speed=True, class_input=True)
+EVERY_INPUT = StGraphConfig(node_time=True, velocity=True, ego_speed=True, class_input=True, ego_way=True)
 VARIANTS = {
     "paper": PAPER,
     "relu attention": StGraphConfig(attn_slope=0.0),
@@ -24,6 +24,7 @@ VARIANTS = {
     "consecutive": StGraphConfig(temporal_edges="consecutive"),
     "causal": StGraphConfig(temporal_edges="causal"),
     "every input": EVERY_INPUT,
+    "every third frame": StGraphConfig(velocity=True, ego_way=True, frame_stride=3),
     "one layer": StGraphConfig(layers=1, heads=2, head_width=5, hidden=7, mlp_width=9, position_scale=0.1),
 }
 
@@ -41,6 +42,7 @@ def observations(seed: int = 0, graphs: int = 8, tracks: int = 5, frames: int = 
         "kind": rng.integers(0, 2, (graphs, tracks)).astype(np.int8),
         "ego": rng.uniform(1.0, 15.0, (graphs, 4)).astype(np.float32),
         "command": np.eye(6, dtype=np.int8)[rng.integers(0, 6, graphs)],
+        "route": rng.normal(0.0, 10.0, (graphs, 40, 2)).astype(np.float32),
     }
 
 
@@ -71,7 +73,7 @@ def compare_with_twin(config: StGraphConfig, dtype: torch.dtype) -> tuple[float,
     net = network(config).to(dtype)
     twin = PygTwin(config).to(dtype)
     twin.load_state_dict(net.state_dict())
-    keys = ("tracks", "mask", "command", "ego", "kind")
+    keys = ("tracks", "mask", "command", "ego", "kind", "route")
     graphs = [to_hetero_data(*(batch[key][i] for key in keys), config) for i in range(len(batch["mask"]))]
     here, there = net(tensors(batch)), twin(graphs)
     truth = torch.arange(len(here)) % 2
@@ -173,7 +175,10 @@ def test_the_past_and_the_future_are_told_apart() -> None:
     assert np.abs(logits(net, backwards) - logits(net, batch))[:6].min() > 1e-6
 
 
-@pytest.mark.parametrize(("switch", "key"), [("ego_speed", "ego"), ("velocity", "ego"), ("class_input", "kind")])
+@pytest.mark.parametrize(
+    ("switch", "key"),
+    [("ego_speed", "ego"), ("velocity", "ego"), ("class_input", "kind"), ("ego_way", "ego"), ("ego_way", "route")],
+)
 def test_speed_and_kind_reach_the_decision_only_when_asked(switch: str, key: str) -> None:
     batch = observations()
     other = batch | {key: (batch[key] + 1) % 2 if key == "kind" else batch[key] + 1}
@@ -207,6 +212,8 @@ def test_the_same_seed_gives_the_same_weights_and_leaves_torch_alone() -> None:
         ("layers", True),
         ("mlp_width", 10**9),
         ("velocity", 1),
+        ("ego_way", "yes"),
+        ("frame_stride", 0),
         ("attn_slope", -0.1),
         ("position_scale", float("nan")),
         ("fusion", "first"),
@@ -221,7 +228,9 @@ def test_nonsense_is_refused_in_one_line_that_names_it(knob: str, value: object)
     assert "\n" not in message
 
 
-@pytest.mark.parametrize("knob", [{"velocity": True}, {"node_time": True}, {"fusion": "per_layer"}])
+@pytest.mark.parametrize(
+    "knob", [{"velocity": True}, {"node_time": True}, {"fusion": "per_layer"}, {"frame_stride": 3}]
+)
 def test_what_needs_time_is_refused_without_it(knob: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="when temporal is False"):
         dataclasses.replace(PAPER, temporal=False, **knob)

@@ -24,7 +24,7 @@ from cad_env.world.state import OFF, World
 SLACK = 0.4  # m that the centre of a vehicle may be off the place that stands for it: every box is taken to be larger
 ON_LANE = 1.75  # m from the middle of a lane, within which what is there is on it
 OCCUPIED = 2.5  # m before and behind the centre of a known vehicle, in which no place is empty
-_BODY = 3.0  # m before and behind its centre, where nobody else's can be: there a vehicle hides none but itself
+_BODY = 4.2  # m before and behind the centre of a vehicle, where nobody else's can be: there it hides none but itself
 UNKNOWN = 0.005  # of the vehicles that are in sight for so many frames, the share that may have no track
 
 
@@ -83,8 +83,8 @@ def outer_corners(world: World, outlines: Floats, corner: Floats) -> None:
 
 
 @compiled_part
-def look_at_lanes(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats, seen: Bytes,
-         corner: Floats, near: Floats, row: Ints) -> None:  # fmt: skip
+def look_at_lanes(world: World, outlines: Floats, lanes: Lanes, observer: int, sensor: Sensing, pose: Floats,
+                  seen: Bytes, corner: Floats, near: Floats, row: Ints) -> None:  # fmt: skip
     """One frame of what an observer sees of all lanes, by its own fix `pose`: seen (B, F, P).
 
     corner as from `outer_corners`; near (N, 3) and row (N,) are scratch.
@@ -169,7 +169,7 @@ def _look_along(corner: Floats, near: Floats, row: Ints, count: int, eye: tuple[
         start, end = _shadow(corner[row[n]], line, sign, along, height)
         body = along + (a - _BODY if abs(b + height) < ON_LANE else math.inf)
         for i in range(max(first, math.floor(start / size)), min(last, math.floor(min(end, length) / size) + 1)):
-            if not (i * size < body + 2.0 * _BODY and (i + 1) * size > body):
+            if not (i * size >= body and (i + 1) * size <= body + 2.0 * _BODY):
                 seen[i] = 0
 
 

@@ -1,19 +1,18 @@
 """One decision's perception and communication for a fleet: the stages in their order, as one compiled function."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from cad_env.numerics.jit import inlined_part
 from cad_env.pipeline.codec import DECODED as READ
-from cad_env.pipeline.codec import max_bytes, read, read_with_places, write, write_with_places
-from cad_env.pipeline.coverage import Coverage, look_at_lanes, new_coverage, outer_corners, vouch
+from cad_env.pipeline.codec import read, read_with_places, write, write_with_places
+from cad_env.pipeline.coverage import look_at_lanes, outer_corners, vouch
+from cad_env.pipeline.fleet import OWN, Fleet
 from cad_env.pipeline.graph import add_body, add_track
-from cad_env.pipeline.graph_arrays import empty_graph_arrays, slide
-from cad_env.pipeline.hidden import Hidden, grow, hidden_at, new_hidden, note_known, take_out
+from cad_env.pipeline.graph_arrays import slide
+from cad_env.pipeline.hidden import grow, hidden_at, note_known, take_out
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
-from cad_env.pipeline.observe import View, empty_view, observe_ego, observe_tracks, view_at
-from cad_env.pipeline.observe_lanes import LaneView, empty_lane_view, lane_view_at, observe_lanes
+from cad_env.pipeline.observe import observe_ego, observe_tracks, view_at
+from cad_env.pipeline.observe_lanes import lane_view_at, observe_lanes
 from cad_env.pipeline.radio import (
     ACCEPTED,
     LOST,
@@ -21,115 +20,23 @@ from cad_env.pipeline.radio import (
     REACHES,
     SILENT,
     STEP_MS,
-    Air,
     Link,
-    empty_air,
     fate,
     fetch,
     is_as_sent,
     send,
 )
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
-from cad_env.pipeline.track import Tracks, confirmed, empty_tracks, seen_now, update
-from cad_env.types import FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, Bools, Bytes, Floats, GraphArrays, Ints
-from cad_env.world.lanes import PLACES, Lanes, empty_lanes
+from cad_env.pipeline.track import Tracks, confirmed, seen_now, update
+from cad_env.types import FRAMES, Bytes, GraphArrays, Ints
+from cad_env.world.lanes import Lanes
 from cad_env.world.state import OFF, Routes, World
 
 SENSE, RADIO = 0, 1  # rows of the stream keys
 UNREAD, REFUSED = -1, -2  # in place of a message's length
-OWN = -1  # in place of the length of an injected message: the vehicle sends its own
 # First rows of a graph to merge: row 0 of the own one is the own body. Of a numpy type, because numba compiles a
 # function anew for every plain number that is written in a call of it.
 ALL, OTHERS = np.int64(0), np.int64(1)
-
-
-class Report(NamedTuple):
-    """What the newest step put on the air: the numbers that info dicts show."""
-
-    sent_bytes: Ints  # (V,) bytes of each sender that were accepted
-    refusal: Ints  # (V,) why a sender's message was refused, 0 if it was not
-    received_bytes: Ints  # (R,) bytes that reached each receiver
-    lost: Ints  # (R,) messages in range that did not
-    messages_refused: Ints  # (R,) messages that did, and were refused whole by the receiver
-
-
-class Injected(NamedTuple):
-    """What V vehicles broadcast in the next step in place of their own messages: bytes from outside."""
-
-    length: Ints  # (V,) bytes, or OWN
-    payload: Bytes  # (V, B); B is 0 until bytes come from outside, to spare the memory
-
-
-class Fleet(NamedTuple):
-    """V connected vehicles, of which the first R also receive, merge and observe; the ego is number 0."""
-
-    rows: Ints  # (V,) rows of the world
-    trail: Floats  # (V, T, 3) m, m, rad: own GNSS fixes, newest last
-    tracks: Tracks  # (V, ...)
-    window: GraphArrays  # (V, ...) own graphs
-    kept: GraphArrays  # (R, V, ...) what each receiver holds of each sender
-    merged: GraphArrays  # (R, ...)
-    views: View  # (R, ...)
-    coverage: Coverage  # (V, ...) what each sees to be empty; of no lanes where none is shared
-    hidden: Hidden  # (R, ...) where each must reckon with a vehicle that nobody has reported
-    lane_views: LaneView  # (R, ...)
-    air: Air
-    injected: Injected
-    visible: Bools  # (V, N) who had a line of sight to whom; never leaves the simulation
-    report: Report
-    message: GraphArrays  # scratch: the message being read
-    weight: Floats  # scratch: (M, T)
-    header: Ints  # scratch: (3,)
-    outlines: Floats  # scratch: (N, 3)
-    near: Ints  # scratch: (N,)
-    detection: Floats  # scratch: (MAX_TRACKS, 3)
-    detected_kind: Ints  # scratch: (MAX_TRACKS,)
-    buffer: Bytes  # scratch: for the longest message
-    places: Bytes  # scratch: (B, P) of the message being read
-
-
-def new_fleet(
-    rows: Ints, vehicles: int, receivers: int, link: Link, lanes: Lanes | None = None, miss: float = 0.0
-) -> Fleet:
-    """A fleet that has seen nothing yet; it shares coverage of `lanes`, if any are given, at this rate of misses."""
-    count, known = len(rows), empty_lanes() if lanes is None else lanes
-    longest = max_bytes(MAX_TRACKS, len(known.start))
-    return Fleet(
-        rows=rows,
-        trail=np.zeros((count, FRAMES, 3)),
-        tracks=empty_tracks(count),
-        window=empty_graph_arrays(count),
-        kept=empty_graph_arrays(receivers, count),
-        merged=empty_graph_arrays(receivers, rows=MAX_MERGED_TRACKS),
-        views=empty_view(receivers),
-        coverage=new_coverage(count, vehicles, known, miss),
-        hidden=new_hidden(receivers, known),
-        lane_views=empty_lane_view(receivers),
-        air=empty_air(count, link, longest),
-        injected=nothing_injected(count, 0),
-        visible=np.zeros((count, vehicles), np.bool_),
-        report=Report(
-            sent_bytes=np.zeros(count, np.int64),
-            refusal=np.zeros(count, np.int64),
-            received_bytes=np.zeros(receivers, np.int64),
-            lost=np.zeros(receivers, np.int64),
-            messages_refused=np.zeros(receivers, np.int64),
-        ),
-        message=empty_graph_arrays(),
-        weight=np.zeros((MAX_MERGED_TRACKS, FRAMES)),
-        header=np.zeros(3, np.int64),
-        outlines=np.zeros((vehicles, 3)),
-        near=np.zeros(vehicles, np.int64),
-        detection=np.zeros((MAX_TRACKS, 3)),
-        detected_kind=np.zeros(MAX_TRACKS, np.int8),
-        buffer=np.zeros(longest, np.uint8),
-        places=np.zeros((len(known.start), PLACES), np.uint8),
-    )
-
-
-def nothing_injected(vehicles: int, capacity: int) -> Injected:
-    """Room for messages from outside of up to `capacity` bytes, and none in it."""
-    return Injected(np.full(vehicles, OWN, np.int64), np.zeros((vehicles, capacity), np.uint8))
 
 
 @inlined_part

@@ -16,11 +16,12 @@ from cad_env.config import RadioConfig, SensorConfig
 from cad_env.lidar.config import CloudConfig, CloudView, empty_cloud_view
 from cad_env.numerics.jit import compiled, inlined, inlined_part
 from cad_env.numerics.record_array import CopiedWhole, new_record_array, put, take
+from cad_env.pipeline.fleet import Fleet, Report, new_fleet
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.observe_lanes import LaneView, empty_lane_view
 from cad_env.pipeline.radio import ACCEPTED, SILENT, Link, link_of
 from cad_env.pipeline.sense import Sensing, sensing
-from cad_env.pipeline.step import Fleet, Report, merge_all, new_fleet, run
+from cad_env.pipeline.step import merge_all, run
 from cad_env.types import COLLISION, COMMANDS, FRAMES, MAX_STEPS, SUCCESS, TIMEOUT, Bytes, Floats, Ints
 from cad_env.world.lanes import Lanes, empty_lanes
 from cad_env.world.state import Routes, Truth, World, empty_routes, empty_world

@@ -18,11 +18,11 @@ from cad_env.lidar.config import OwnCloud
 from cad_env.numerics.jit import announce_compilation
 from cad_env.numerics.philox import stream_key
 from cad_env.numerics.record_array import CopiedWhole
+from cad_env.pipeline.fleet import Fleet, new_fleet, nothing_injected
 from cad_env.pipeline.graph_arrays import as_graph
 from cad_env.pipeline.observe import as_observation, empty_view
 from cad_env.pipeline.radio import NOT_SENT, REASONS, fate, link_of
 from cad_env.pipeline.sense import sensing
-from cad_env.pipeline.step import Fleet, new_fleet, nothing_injected
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
 from cad_env.scenarios.scene import Scene, place

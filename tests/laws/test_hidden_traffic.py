@@ -23,7 +23,7 @@ class Met(NamedTuple):
 
     steps: int  # of a receiver
     violated: int  # of them with a vehicle that is neither tracked nor in a hidden place
-    unseen: int  # vehicles that were in a hidden place and not tracked, summed over the steps
+    unseen: int  # vehicles that were in a hidden place and not tracked, summed over every tenth step
 
 
 def options(rng: np.random.Generator) -> dict:
@@ -46,7 +46,7 @@ def untracked(simulation: Simulation, receiver: int, row: int) -> bool:
 
 
 def outside(simulation: Simulation, receiver: int) -> tuple[int, int]:
-    """(vehicles that are neither tracked nor in a hidden place, and those in a hidden place) of a receiver's lanes."""
+    """Of a receiver's lanes: vehicles neither tracked nor in a hidden place; in every tenth step, those that are."""
     world, lanes, hidden = simulation.world, simulation.map.lanes, simulation.fleet.hidden
     own, lost, unseen = int(simulation.agents[receiver]), 0, 0
     for k, lane in enumerate(lanes.other[world.route[own]].tolist()):
@@ -56,8 +56,10 @@ def outside(simulation: Simulation, receiver: int) -> tuple[int, int]:
                 continue
             assert place < PLACES
             there = bool(hidden.places[receiver, k, place])
-            alone = untracked(simulation, receiver, row)
-            lost, unseen = lost + (alone and not there), unseen + (alone and there)
+            if not there:
+                lost += untracked(simulation, receiver, row)
+            elif simulation.steps % 10 == 0:  # to know that the law is not empty
+                unseen += untracked(simulation, receiver, row)
     return lost, unseen
 
 
@@ -89,7 +91,7 @@ def summed(scenario: str, episodes: int, sensor: dict) -> Met:
 def test_with_perfect_sensing_nobody_is_where_nobody_can_be(scenario: str, episodes: int) -> None:
     found = summed(scenario, episodes, PERFECT)
     assert found.violated == 0
-    assert found.unseen > 20 * episodes
+    assert found.unseen > 2 * episodes
 
 
 @pytest.mark.parametrize("scenario", SHIPPED)

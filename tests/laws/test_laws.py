@@ -10,11 +10,12 @@ from scenes import started, steps, whole_episode
 from cad_env.config import RadioConfig, radio_config
 from cad_env.pipeline.codec import DECODED as READ
 from cad_env.pipeline.codec import decode, read
+from cad_env.pipeline.fleet import Fleet, new_fleet
 from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays
 from cad_env.pipeline.merge import finish_merge, receive, start_merge, take_in
 from cad_env.pipeline.observe import as_observation
 from cad_env.pipeline.radio import ACCEPTED, OVER_BUDGET, link_of
-from cad_env.pipeline.step import ALL, OTHERS, Fleet, new_fleet
+from cad_env.pipeline.step import ALL, OTHERS
 from cad_env.pipeline.track import BIRTH_HITS
 from cad_env.scenarios import SCENARIOS
 from cad_env.scenarios.ranges import DENSITIES

@@ -21,7 +21,7 @@ from policies.training.config import STEPS, TrainingConfig
 
 MAIN_METHODS = ("stgraph-motion", "stgraph-motion-own")
 # Scored beside them; best-blind as far as it was chosen.
-REFERENCE_METHODS = ("always-go", "always-brake", BEST_BLIND, "planner-own", "planner-shared", "expert")
+REFERENCE_METHODS = ("always-go", BEST_BLIND, "planner-own", "planner-shared", "expert")
 # The others are those of the training config that they make; only `steps` would be rounded up to what it takes.
 _LIMITS = {"score": (0, 1_000_000), "jobs": (1, 64), "steps": STEPS}
 _ASKED = ("radio", "episodes", "dagger_rounds", "dagger_episodes", "mixing", "steps", "validation")

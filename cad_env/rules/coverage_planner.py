@@ -34,7 +34,7 @@ from cad_env.types import BRAKE, GO, ROUTE_SPACING, STEP, Floats, Ints, Observat
 from cad_env.world.drivers import COMMANDED_BRAKING, MAX_ACCELERATION
 from cad_env.world.geometry import ALONG
 
-REACH, THROUGH, HIDDEN, TIME = (LANE_FEATURES.index(name) for name in ("reach", "through", "hidden", "time"))
+_REACH, _THROUGH, _HIDDEN, _TIME = (LANE_FEATURES.index(name) for name in ("reach", "through", "hidden", "time"))
 
 
 class Reserve(NamedTuple):
@@ -84,7 +84,7 @@ def distance_on(lane: Floats, other: Floats) -> float:
 @compiled
 def is_quiet(lane: Floats, others: Floats, watch: float) -> bool:
     """True for a lane (F,) that is vouched for `watch` m, on which none of `others` moves towards the conflict."""
-    if lane[HIDDEN] < watch:
+    if lane[_HIDDEN] < watch:
         return False
     moving = 0
     for k in range(others.shape[0]):
@@ -95,10 +95,10 @@ def is_quiet(lane: Floats, others: Floats, watch: float) -> bool:
 @compiled
 def soonest_hidden(lane: Floats, others: Floats) -> float:
     """s until who is hidden on a lane (F,) could be at the conflict: not before those known whom it has before it."""
-    time = float(lane[TIME])
+    time = float(lane[_TIME])
     for k in range(others.shape[0]):
         before = distance_on(lane, others[k])
-        if before < lane[HIDDEN]:
+        if before < lane[_HIDDEN]:
             time = max(time, float(before / others[k, 3]))
     return time
 
@@ -115,13 +115,13 @@ def must_wait(lanes: LaneView, ego: Floats, others: Floats, reserve: Reserve) ->
         if lanes.lane_mask[k] == 0:
             break
         lane = lanes.lanes[k]
-        if lane[REACH] < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING):
+        if lane[_REACH] < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING):
             continue
-        if lane[REACH] - reserve.short < asked or is_last_chance(lane[REACH], ego[0], reserve.short):
-            if seconds_for(ego, lane[THROUGH]) + reserve.spare > soonest_hidden(lane, others):
+        if lane[_REACH] - reserve.short < asked or is_last_chance(lane[_REACH], ego[0], reserve.short):
+            if seconds_for(ego, lane[_THROUGH]) + reserve.spare > soonest_hidden(lane, others):
                 return True
             if not is_quiet(lane, others, reserve.watch):
-                asked = max(asked, lane[THROUGH])
+                asked = max(asked, lane[_THROUGH])
     return False
 
 

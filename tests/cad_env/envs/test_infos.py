@@ -16,7 +16,7 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.types import BRAKE, GO
 
 ID = "CADLeftTurn-v0"
-WITH_HAZARD, WITHOUT = 4, 7  # seeds; without, an ego that never brakes meets nobody
+WITH_HAZARD, WITHOUT = 4, 5  # seeds; without, an ego that never brakes meets nobody
 SEEDS = [WITHOUT, WITH_HAZARD]
 STEPS = 40
 OPTIONS = {"ranges": {"collaborators": (3, 3)}, "traffic": "dense"}

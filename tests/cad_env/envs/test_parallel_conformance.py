@@ -106,7 +106,7 @@ def test_the_state_is_the_truth_agents_first():
     assert all((column[rows["present"] == 0] == 0).all() for column in rows.values())
 
 
-@pytest.mark.parametrize(("seed", "cycles", "late"), [(5, 80, True), (1, MAX_STEPS, False)])
+@pytest.mark.parametrize(("seed", "cycles", "late"), [(1, 80, True), (1, MAX_STEPS, False)])
 def test_with_fixed_agents_everybody_stays_to_the_end(seed: int, cycles: int, late: bool):
     plain, fixed = parallel_env(max_cycles=cycles), FixedAgents(parallel_env(max_cycles=cycles))
     seen, _ = plain.reset(seed=seed)

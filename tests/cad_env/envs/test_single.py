@@ -134,7 +134,7 @@ def test_messages_are_lost_at_the_rate_of_the_radio():
 
 def test_object_lists_are_what_each_vehicle_tracks_itself():
     env = CADEnv(sensor={"noise": 0.0, "miss": 0.0})
-    env.reset(seed=1)
+    env.reset(seed=2)  # one vehicle at the most has come into view just now, and has no track yet
     for _ in range(5):
         env.step(BRAKE)
     lists, fleet = env.object_lists(), env.simulation.fleet

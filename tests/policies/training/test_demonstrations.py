@@ -16,6 +16,7 @@ from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import FileError
 from cad_env.rules.expert import Expert
 from cad_env.types import BRAKE, Observation
+from policies.stgraph.features import WAY_POINTS
 from policies.stgraph.network import StGraphNet
 from policies.stgraph.policy import StGraphPolicy
 from policies.stgraph.spec import SPEC
@@ -69,8 +70,10 @@ def test_frames_are_the_observations_that_were_replayed(recorded: Demonstrations
     frames = SPEC.frames(*replay(recorded, envs, SPEC.look))
     chosen = np.array([7, 0, 7, len(frames) - 1])
     for name, values in frames.batch(chosen).items():
-        half_a_centimetre = 0.0051 if name == "tracks" else 0.0
+        half_a_centimetre = 0.0051 if name in ("tracks", "route") else 0.0
         wanted = np.stack([looks[k][name] for k in chosen])
+        if name == "route":  # of which the network reads how far aside some points are
+            values, wanted = values[:, WAY_POINTS, 1], wanted[:, WAY_POINTS, 1]
         if name == "tracks":  # where there is no node there is nothing to keep
             wanted = wanted * frames.batch(chosen)["mask"][..., None]
         np.testing.assert_allclose(values, wanted, rtol=0, atol=half_a_centimetre, err_msg=name)
@@ -97,17 +100,17 @@ def test_a_frame_without_any_node_is_kept() -> None:
 
 def test_an_episode_that_goes_another_way_is_an_error(recorded: Demonstrations) -> None:
     with pytest.raises(ReplayError, match="does not end as it was recorded"):
-        replay(recorded, CADVectorEnv(2, traffic="dense"), seen)
+        replay(recorded, CADVectorEnv(2, scenario="street_crossing"), seen)
     with pytest.raises(ReplayError, match="episode 2 does"):
         replay(replace(recorded, outcome=np.where(recorded.seed == 2, 2, recorded.outcome)), CADVectorEnv(2), seen)
 
 
 @pytest.mark.parametrize("mixing", [0.0, 0.5, 1.0])
 def test_whoever_drives_the_label_is_the_experts_and_mixing_is_its_share(mixing: float, tmp_path: Path) -> None:
-    policy = StGraphPolicy(StGraphNet(seed=1), threshold=0.0)  # it always brakes, the expert hardly ever
+    policy = StGraphPolicy(StGraphNet(seed=1), threshold=0.0)  # it always brakes, the expert does not
     driven = joined(record(tmp_path, CADVectorEnv(2), policy, range(2), lambda n: None, mixing))
     braked = driven.action == BRAKE
-    assert (driven.label == BRAKE).mean() < 0.3
+    assert (driven.label == BRAKE).mean() < 0.5
     assert {0.0: braked.all(), 0.5: 0.3 < braked.mean() < 0.8, 1.0: (driven.action == driven.label).all()}[mixing]
 
 

@@ -121,6 +121,9 @@ class Method:
     knows: str  # one of KNOWLEDGE
     make_policy: Callable[[str], Policy] | None = None  # for the scenario of this name
     learned: LearnedMethod | None = None
+    coverage: bool = (
+        False  # it is told what was seen to be empty: by its own sensor and, if it is sent anything, by others
+    )
 
     @property
     def shares(self) -> bool:
@@ -144,10 +147,10 @@ def _planner(_: str) -> Policy:
     return Planner()
 
 
-def _cautious(_: str) -> Policy:
-    from cad_env.rules.cautious import Cautious
+def _coverage_planner(_: str) -> Policy:
+    from cad_env.rules.coverage_planner import CoveragePlanner
 
-    return Cautious()
+    return CoveragePlanner()
 
 
 def _expert(scenario: str) -> Policy:
@@ -191,7 +194,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             Method("planner-shared", KNOWS_SENT, _planner),
             Method("expert", KNOWS_TRUTH, _expert),
             *map(_of, LEARNED.values()),
-            Method("cautious-own", KNOWS_SEEN, _cautious),
+            Method("planner-coverage", KNOWS_SENT, _coverage_planner, coverage=True),
+            Method("cautious-own", KNOWS_SEEN, _coverage_planner, coverage=True),  # the same rules, alone
             _of(LearnedMethod(REWARDED)),
         )
     }

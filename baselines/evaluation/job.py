@@ -99,6 +99,8 @@ def _job(settings: Settings, scenario: str, name: str, condition: str | None, _:
     radio = settings.radio if method.shares else "none"
     options = settings.environment(scenario, condition)
     options["depth"] = min(settings.depth, method.depth)
+    if method.coverage:
+        options["coverage"] = True
     if not method.shares:
         options["radio"] = RADIO_PRESETS["none"]
         if condition is not None:  # whoever else is connected has nothing to say to it

@@ -21,9 +21,9 @@ from cad_env.scoring.scorecard import Record
 
 NOTES, COSTS = "notes.md", "costs.json"
 TABLE_ORDER = (
-    "always-go", "always-brake", BEST_BLIND, "command-only", "planner-own", "cautious-own", "planner-shared", "expert",
-    "ppo", "gat", "collab-gat", "stgraph-own", "raw-points", "compressed", "stgraph-no-edges", "stgraph-bc", "stgraph",
-    "stgraph-velocity", "stgraph-motion-own", "stgraph-motion",
+    "always-go", "always-brake", BEST_BLIND, "command-only", "planner-own", "cautious-own", "planner-shared",
+    "planner-coverage", "expert", "ppo", "gat", "collab-gat", "stgraph-own", "raw-points", "compressed",
+    "stgraph-no-edges", "stgraph-bc", "stgraph", "stgraph-velocity", "stgraph-motion-own", "stgraph-motion",
 )  # fmt: skip
 
 Drives = Mapping[int, Mapping[int, Record]]  # training seed -> seed of the episode -> what came of it

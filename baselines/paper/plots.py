@@ -24,6 +24,7 @@ LOOKS = {  # row -> (what it shares, its shape)
     "always-go": ("constant", ">"), "always-brake": ("constant", "X"), "best-blind": ("constant", "v"),
     "command-only": ("constant", "o"),
     "planner-own": ("own", "s"), "cautious-own": ("own", "D"), "planner-shared": ("rules", "s"),
+    "planner-coverage": ("rules", "D"),
     "expert": ("truth", "*"), "ppo": ("graph", "P"), "gat": ("own", "v"), "collab-gat": ("graph", "v"),
     "stgraph-own": ("own", "o"), "raw-points": ("points", "^"), "compressed": ("features", "^"),
     "stgraph-no-edges": ("graph", "d"), "stgraph-bc": ("graph", "h"), "stgraph": ("graph", "o"),

@@ -169,7 +169,8 @@ def _look_along(corner: Floats, near: Floats, row: Ints, count: int, eye: tuple[
         start, end = _shadow(corner[row[n]], line, sign, along, height)
         body = along + (a - _BODY if abs(b + height) < ON_LANE else math.inf)
         for i in range(max(first, math.floor(start / size)), min(last, math.floor(min(end, length) / size) + 1)):
-            if not (i * size >= body and (i + 1) * size <= body + 2.0 * _BODY):
+            # Only where another one could be does a shadow hide anybody.
+            if max(i * size, start) < body or min((i + 1) * size, end) > body + 2.0 * _BODY:
                 seen[i] = 0
 
 

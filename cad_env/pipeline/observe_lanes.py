@@ -9,7 +9,7 @@ from gymnasium import spaces
 from cad_env.numerics.jit import compiled_part, inlined_part
 from cad_env.pipeline.hidden import Hidden, foremost, place_beside
 from cad_env.pipeline.observe import HORIZON
-from cad_env.types import CAR, FRAMES, MAX_STEPS, STEP, Floats, Ints
+from cad_env.types import FRAMES, MAX_STEPS, STEP, Floats, Ints
 from cad_env.world.dynamics import place_on_route
 from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
 from cad_env.world.state import Routes

@@ -78,7 +78,7 @@ def distance_on(lane: Floats, other: Floats) -> float:
     along = math.cos(other[2]) * lane[2] + math.sin(other[2]) * lane[3]
     if other[3] < SLOWEST or along < ALONG or abs(beside) > HALF_LANE or not 0.0 < before < BEYOND:
         return math.inf
-    return before
+    return float(before)
 
 
 @compiled
@@ -86,20 +86,20 @@ def is_quiet(lane: Floats, others: Floats, watch: float) -> bool:
     """True for a lane (F,) that is vouched for `watch` m, on which none of `others` moves towards the conflict."""
     if lane[HIDDEN] < watch:
         return False
+    moving = 0
     for k in range(others.shape[0]):
-        if distance_on(lane, others[k]) < math.inf:
-            return False
-    return True
+        moving += distance_on(lane, others[k]) < math.inf
+    return moving == 0
 
 
 @compiled
 def soonest_hidden(lane: Floats, others: Floats) -> float:
     """s until who is hidden on a lane (F,) could be at the conflict: not before those known whom it has before it."""
-    time = lane[TIME]
+    time = float(lane[TIME])
     for k in range(others.shape[0]):
         before = distance_on(lane, others[k])
         if before < lane[HIDDEN]:
-            time = max(time, before / others[k, 3])
+            time = max(time, float(before / others[k, 3]))
     return time
 
 

@@ -133,7 +133,8 @@ def _with_conflicts(routes: Routes, conflicts: list[list[Conflict]], start: Floa
     pairs = (len(conflicts), CONFLICTS)
     lanes = empty_lanes()._replace(
         other=np.full(pairs, -1, np.int64), reach=np.zeros(pairs), through=np.zeros(pairs), entry=np.zeros(pairs),
-        exit=np.zeros(pairs), soonest=np.zeros((*pairs, PLACES + 1)), opposed=np.zeros(pairs, np.int8), conflict=np.zeros((*pairs, 4)),
+        exit=np.zeros(pairs), opposed=np.zeros(pairs, np.int8), soonest=np.zeros((*pairs, PLACES + 1)),
+        conflict=np.zeros((*pairs, 4)),
     )  # fmt: skip
     for a, each in enumerate(conflicts):
         for k, found in enumerate(each):

@@ -32,7 +32,7 @@ class Lanes(NamedTuple):
     exit: Floats  # (B, L) m along the other route, up to where it is
     opposed: Ints  # (B, L) int8 1 where the other one comes towards this one, along it
     limit: Floats  # (B,) m/s that nobody on a lane exceeds before its conflicts
-    soonest: Floats  # (B, L, P + 1) s from where place p of the other lane begins to `entry`, at the most that its bends allow
+    soonest: Floats  # (B, L, P + 1) s from the beginning of place p of the other lane to `entry`, at its limit
     conflict: Floats  # (B, L, 4) x, y (m) of the other lane at `entry`, cos and sin of its direction there
 
 

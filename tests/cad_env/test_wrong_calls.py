@@ -119,7 +119,7 @@ CALLS: list[tuple[Call, type[Exception], str]] = [
     (lambda: RadioConfig(los=1), (TypeError, ValueError), "unknown radio setting los=1: choose among burst, dela"),
     (lambda: SensorConfig(rnage=1), (TypeError, ValueError), "unknown sensor setting rnage=1: choose among gnss_nois"),
     (lambda: CloudConfig(beam=1), (TypeError, ValueError), "unknown cloud setting beam=1: choose among azimuths, bea"),
-    (lambda: Setup(radoi=1), (TypeError, ValueError), "unknown option radoi=1: choose among cloud, codec, depth"),
+    (lambda: Setup(radoi=1), (TypeError, ValueError), "unknown option radoi=1: choose among cloud, codec, coverage, d"),
 ]  # fmt: skip
 
 

@@ -86,6 +86,6 @@ def test_who_begins_together_is_no_conflict() -> None:
 
 def test_a_lane_that_meets_nobody_has_no_places() -> None:
     built = scenario_named("overtaking").map
-    lanes, east = lanes_of(built.routes), built.route("east")
+    lanes, east = lanes_of(built.routes, np.full(len(built.plans), 20.0)), built.route("east")
     assert lanes.first[east] == PLACES
     assert lanes.pieces[east] == lanes.pieces[east + 1]

@@ -20,8 +20,6 @@ from cad_env.rules.planner import known_vehicles, way_of
 from cad_env.simulation.batch import SceneBatch
 from cad_env.types import BRAKE, Bools, Ints, Observation
 
-TEACHERS = ("expert", "coverage")
-
 
 class Teacher:
     """Labels frames of a scenario; `waits`: also by what nobody vouches for, which takes scenes with coverage."""

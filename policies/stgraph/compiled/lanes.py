@@ -62,7 +62,7 @@ class FusedLanes:
 
 def _sum_last(x: Floats) -> Floats:
     """The sum over the last axis, one after another: numpy's own order depends on the shape."""
-    total = x[..., 0].copy()
+    total: Floats = x[..., 0].copy()
     for d in range(1, x.shape[-1]):
         total += x[..., d]
     return total
@@ -75,4 +75,5 @@ def _softmax(score: Floats, exists: Bools) -> Floats:
     total = np.zeros_like(weight[:, 0])
     for k in range(weight.shape[1]):
         total += weight[:, k]
-    return weight / np.where(total > 0, total, 1.0)[:, None]
+    share: Floats = weight / np.where(total > 0, total, 1.0)[:, None]
+    return share

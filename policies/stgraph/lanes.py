@@ -19,8 +19,8 @@ from cad_env.world.drivers import COMMANDED_BRAKING, MAX_ACCELERATION
 from cad_env.world.state import COMMAND_DELAY
 from policies.layers import Linear, glorot_parameter
 from policies.stgraph.config import StGraphConfig
+from policies.stgraph.features import NEVER
 
-NEVER = -1e30  # as good as minus infinity in a softmax, and finite
 LANE_INPUTS, PHANTOM_INPUTS = 11, 10
 _COLUMN = {name: number for number, name in enumerate(LANE_FEATURES)}
 

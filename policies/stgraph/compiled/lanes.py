@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from cad_env.types import Bools, Floats
 from policies.stgraph.compiled.attention import multiply
-from policies.stgraph.lanes import NEVER, LaneAttention, lane_nodes
+from policies.stgraph.features import NEVER
+from policies.stgraph.lanes import LaneAttention, lane_nodes
 
 
 class _Heard(NamedTuple):

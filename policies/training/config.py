@@ -48,7 +48,7 @@ def _shipped() -> tuple[str, ...]:
     return SHIPPED
 
 
-class Cell(NamedTuple):
+class TrainingCell(NamedTuple):
     """What an episode is driven in."""
 
     scenario: str
@@ -130,11 +130,11 @@ class TrainingConfig:
         """Whether its first demonstrations are those of the expert, which networks of all kinds share."""
         return self.conditions == (NOMINAL,) and not self.waits
 
-    def cells(self) -> list[Cell]:
+    def cells(self) -> list[TrainingCell]:
         """Every scenario under every condition."""
-        return [Cell(scenario, condition) for scenario in self.scenarios for condition in self.conditions]
+        return [TrainingCell(scenario, condition) for scenario in self.scenarios for condition in self.conditions]
 
-    def seeds_of(self, cell: Cell, first: int, episodes: int) -> range:
+    def seeds_of(self, cell: TrainingCell, first: int, episodes: int) -> range:
         """The part of a cell in the seeds of a scenario's episodes, which begin with `first`."""
         place, count = self.conditions.index(cell.condition), len(self.conditions)
         return range(first + place * episodes // count, first + (place + 1) * episodes // count)

@@ -33,7 +33,7 @@ from policies.training.config import (
     REPLAYED_COST,
     VALIDATION_SEEDS,
     Advance,
-    Cell,
+    TrainingCell,
     TrainingConfig,
     small_seed,
 )
@@ -70,19 +70,19 @@ class _Run:
         """Tell of episodes that the network drove."""
         self.advance(DRIVEN_COST * episodes)
 
-    def envs(self, cell: Cell) -> CADVectorEnv:
+    def envs(self, cell: TrainingCell) -> CADVectorEnv:
         """Scenes as the network is to drive in them, as it is now."""
         return self._envs(cell, self.spec.environment(self.network))
 
-    def replayed(self, cell: Cell) -> CADVectorEnv:
+    def replayed(self, cell: TrainingCell) -> CADVectorEnv:
         """Scenes to look at what was recorded in."""
         return self._envs(cell, self.spec.replayed(self.network))
 
-    def taught(self, cell: Cell) -> CADVectorEnv:
+    def taught(self, cell: TrainingCell) -> CADVectorEnv:
         """Scenes to record the teacher in, if it is not the expert that all networks share."""
         return self._envs(cell, {})
 
-    def _envs(self, cell: Cell, needs: dict[str, Any]) -> CADVectorEnv:
+    def _envs(self, cell: TrainingCell, needs: dict[str, Any]) -> CADVectorEnv:
         config = self.config
         decided = condition_named(cell.condition).options(radio_config(config.radio))
         known = {"coverage": True} if config.waits else {}
@@ -152,7 +152,7 @@ def _learn_of(run: _Run, turn: int, frames: dict[str, Frames]) -> None:
         frames[name] = first.joined(others) if others else first
 
 
-def _recorded(run: _Run, turn: int, cell: Cell) -> list[Demonstrations]:
+def _recorded(run: _Run, turn: int, cell: TrainingCell) -> list[Demonstrations]:
     """The episodes of a round: driven by the teacher at first, then by the network as it was before the round."""
     config = run.config
     if turn == 0:
@@ -163,7 +163,7 @@ def _recorded(run: _Run, turn: int, cell: Cell) -> list[Demonstrations]:
     return record(shards, run.envs(cell), policy, seeds, run.driven, config.mixing**turn, config.waits)
 
 
-def _demonstrated(run: _Run, cell: Cell) -> list[Demonstrations]:
+def _demonstrated(run: _Run, cell: TrainingCell) -> list[Demonstrations]:
     """The episodes that the teacher drives. Where it waits, they belong to the condition, and to these seeds of it."""
     config = run.config
     if config.learns_from_shared:
@@ -173,7 +173,7 @@ def _demonstrated(run: _Run, cell: Cell) -> list[Demonstrations]:
     return record(folder, run.taught(cell), None, seeds, lambda n: run.advance(REPLAYED_COST * n), waits=config.waits)
 
 
-def _under(cell: Cell) -> str:
+def _under(cell: TrainingCell) -> str:
     """What the name of a folder says of the condition."""
     return "" if cell.condition == NOMINAL else f"_{cell.condition}"
 

@@ -10,7 +10,7 @@ from cad_env.checks import ConfigError
 from policies.model_folder import load_model
 from policies.stgraph.network import StGraphConfig
 from policies.training.cloning import Worth
-from policies.training.config import Cell, TrainingConfig
+from policies.training.config import TrainingCell, TrainingConfig
 from policies.training.dagger import train_network
 from policies.training.validation_log import Log
 
@@ -25,7 +25,7 @@ def test_episodes_are_split_evenly_and_no_seed_is_used_twice() -> None:
     conditions = ("nominal", "alone", "loss-70")
     config = TrainingConfig(scenarios=("left_turn", "overtaking"), conditions=conditions)
     assert len(config.cells()) == 6
-    parts = [config.seeds_of(Cell("overtaking", name), 50, 11) for name in conditions]
+    parts = [config.seeds_of(TrainingCell("overtaking", name), 50, 11) for name in conditions]
     assert [seed for part in parts for seed in part] == list(range(50, 61))
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
 

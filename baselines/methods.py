@@ -27,6 +27,9 @@ SHARED = ("nothing", "graph", "points", "features")
 MOTION: Mapping[str, Any] = MappingProxyType(
     {"velocity": True, "ego_way": True, "frame_stride": 3, "hidden": 24, "head_width": 12, "mlp_width": 32}
 )
+# Conditions under which a network learns that is told what nobody vouches for: from nobody on the air to the guaranteed
+# witness, and a channel that loses most.
+MIXTURE = ("nominal", "alone", "penetration-10", "penetration-50", "loss-70")
 REWARDED = "ppo"  # the one method that learns by reward, not from demonstrations
 
 
@@ -71,6 +74,10 @@ _LEARNED = (
     LearnedMethod("stgraph-own", shares="nothing"),  # [T-NS]
     LearnedMethod("stgraph-motion", config=MOTION),  # a departure: nodes are told of motion
     LearnedMethod("stgraph-motion-own", config=MOTION, shares="nothing"),
+    LearnedMethod(  # a departure: it is also told of the lanes that its way meets, and of where nobody has looked
+        "stgraph-coverage", config={**MOTION, "coverage": True},
+        training={"conditions": MIXTURE, "teacher": "coverage", "batch": 150},
+    ),
     LearnedMethod("command-only", "command", shares="nothing"),
     LearnedMethod("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]
     LearnedMethod("collab-gat", config={"temporal": False}, training={"depth": 1}),  # [Collab-GAT, NT-S]

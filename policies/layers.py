@@ -12,6 +12,11 @@ def uniform_parameter(rng: torch.Generator, bound: float, *shape: int) -> nn.Par
     return nn.Parameter(torch.empty(*shape).uniform_(-bound, bound, generator=rng))
 
 
+def glorot_parameter(rng: torch.Generator, fan_in: int, fan_out: int, *shape: int) -> nn.Parameter:
+    """A parameter by Glorot and Bengio (AISTATS 2010): uniform within sqrt(6 / (fan_in + fan_out))."""
+    return uniform_parameter(rng, math.sqrt(6 / (fan_in + fan_out)), *shape)
+
+
 class Linear(nn.Module):
     """An affine map whose first weights come from the given rng, as torch's own draws them."""
 

@@ -23,7 +23,8 @@ from policies.spec import LearnedPolicy, NetworkSpec
 
 FORMAT = 1
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
-_ADDED = {"commands": COMMANDS}  # knobs that models of before do not name, and what they were
+# Knobs that models of before do not name, and what they were.
+_ADDED = {"commands": COMMANDS, "ego_way": False, "frame_stride": 1, "coverage": False}
 _KEYS = {"format", "spec", "network", "threshold", "sha256", "training"}
 
 

@@ -24,6 +24,7 @@ TABLE_ORDER = (
     "always-go", "always-brake", BEST_BLIND, "command-only", "planner-own", "cautious-own", "planner-shared",
     "planner-coverage", "expert", "ppo", "gat", "collab-gat", "stgraph-own", "raw-points", "compressed",
     "stgraph-no-edges", "stgraph-bc", "stgraph", "stgraph-velocity", "stgraph-motion-own", "stgraph-motion",
+    "stgraph-coverage",
 )  # fmt: skip
 
 Drives = Mapping[int, Mapping[int, Record]]  # training seed -> seed of the episode -> what came of it

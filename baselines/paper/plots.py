@@ -29,6 +29,7 @@ LOOKS = {  # row -> (what it shares, its shape)
     "stgraph-own": ("own", "o"), "raw-points": ("points", "^"), "compressed": ("features", "^"),
     "stgraph-no-edges": ("graph", "d"), "stgraph-bc": ("graph", "h"), "stgraph": ("graph", "o"),
     "stgraph-velocity": ("graph", "<"), "stgraph-motion": ("graph", "p"), "stgraph-motion-own": ("own", "p"),
+    "stgraph-coverage": ("graph", "8"),
 }  # fmt: skip
 COMPARED_COLOURS = {"stgraph": BLUE, "collab-gat": VERMILION, "compressed": GREEN}
 

@@ -154,10 +154,11 @@ def _all_scored(settings: TrainSettings, scoring: Sequence[Settings]) -> int:
 
 
 def train_all(settings: TrainSettings, tasks: Sequence[TrainingTask]) -> None:
-    """Record the expert once, then train side by side, with one progress bar over all the work."""
+    """Record the expert once for all that learn from it, then train side by side, with one progress bar."""
     from baselines.workers import workers
 
-    scenarios, folder = settings.scenarios(), settings.demonstrations()
+    shared, folder = any(task.config.learns_from_shared for task in tasks), settings.demonstrations()
+    scenarios = settings.scenarios() if shared else ()
     total = settings.episodes * len(scenarios) + sum(task.config.work() for task in tasks)
     with (
         workers(min(settings.jobs, max(len(tasks), len(scenarios)))) as (pool, progress),

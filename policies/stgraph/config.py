@@ -23,6 +23,7 @@ _SWITCHES = (
     "ego_speed",
     "class_input",
     "ego_way",
+    "coverage",
 )
 
 
@@ -65,6 +66,7 @@ class StGraphConfig:
     class_input: bool = False  # nodes say whether they are a truck
     ego_way: bool = False  # every node carries the ego's speed and how far its way bends aside (WAY_AHEAD)
     frame_stride: int = 1  # the newest frame and every so manieth before it have nodes; velocities are of all
+    coverage: bool = False  # lanes that its way meets, and phantoms where nobody has looked (policies.stgraph.lanes)
     commands: int = COMMANDS  # that its scenarios have; more than six where one brings its own
 
     def __post_init__(self) -> None:

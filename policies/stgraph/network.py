@@ -5,7 +5,6 @@ into target + source + edge terms, a^T [W h_i || W h_j || W_e e_ij] = a_t^T W h_
 so an edge costs one number a head and never a vector.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,15 +13,12 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn import functional
 
-from policies.layers import Linear, uniform_parameter
+from policies.layers import Linear, glorot_parameter
 from policies.stgraph.config import StGraphConfig
 from policies.stgraph.features import Relation, ego_speed, graph_tensors
+from policies.stgraph.lanes import LaneAttention, lane_nodes
 
 __all__ = ["StGraphConfig", "StGraphNet"]
-
-
-def _glorot(rng: torch.Generator, fan_in: int, fan_out: int, *shape: int) -> nn.Parameter:
-    return uniform_parameter(rng, math.sqrt(6 / (fan_in + fan_out)), *shape)
 
 
 class _WeightedSum(torch.autograd.Function):
@@ -80,12 +76,12 @@ class RelationLayer(nn.Module):
         super().__init__()
         heads, width = config.heads, config.head_width
         self.concatenate, self.slope, self.attributes = concatenate, config.attn_slope, config.edge_attributes
-        self.weight = _glorot(rng, inputs, heads * width, heads * width, inputs)  # W
-        self.attend_target = _glorot(rng, width, 1, heads, width)  # a, in its three parts
-        self.attend_source = _glorot(rng, width, 1, heads, width)
+        self.weight = glorot_parameter(rng, inputs, heads * width, heads * width, inputs)  # W
+        self.attend_target = glorot_parameter(rng, width, 1, heads, width)  # a, in its three parts
+        self.attend_source = glorot_parameter(rng, width, 1, heads, width)
         if self.attributes:
-            self.edge_weight = _glorot(rng, 1, heads * width, heads, width)  # W_e
-            self.attend_edge = _glorot(rng, width, 1, heads, width)
+            self.edge_weight = glorot_parameter(rng, 1, heads * width, heads, width)  # W_e
+            self.attend_edge = glorot_parameter(rng, width, 1, heads, width)
 
     def forward(self, grid: Tensor, ego: Tensor, relation: Relation) -> tuple[Tensor, Tensor]:
         """Embeddings of the nodes (F, I, G, B) and of the ego (F, 1, 1, B) after one exchange along the edges."""
@@ -139,9 +135,9 @@ class Importance(nn.Module):
 
     def __init__(self, width: int, rng: torch.Generator) -> None:
         super().__init__()
-        self.weight = _glorot(rng, width, width, width, width)  # W_b
+        self.weight = glorot_parameter(rng, width, width, width, width)  # W_b
         self.bias = nn.Parameter(torch.zeros(width))  # b
-        self.query = _glorot(rng, width, 1, width)  # q
+        self.query = glorot_parameter(rng, width, 1, width)  # q
 
     def forward(self, grid: Tensor, ego: Tensor, mask: Tensor) -> Tensor:
         """The mean over the nodes of each graph, ego included, and over no other graph of the batch: (B,)."""
@@ -182,16 +178,24 @@ class StGraphNet(nn.Module):
                     self.importance[str(depth)] = Importance(joined, rng)
             self.importance[str(config.layers - 1)] = Importance(config.head_width, rng)
         inputs = config.head_width + config.commands + config.ego_speed
+        if config.coverage:
+            self.lanes = LaneAttention(config, rng)
+            inputs += joined
         self.decide = nn.Sequential(
             Linear(inputs, wide, rng), nn.ReLU(), Linear(wide, wide, rng), nn.ReLU(), Linear(wide, 2, rng)
         )
 
     def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """Logits (B, 2) for `tracks` (B, K, T, 3) m, `mask` (B, K, T), `command` (B, C); options read `ego`, `kind`."""
-        embedded = self.embed(observation)
+        """Logits (B, 2) for `tracks` (B, K, T, 3) m, `mask` (B, K, T), `command` (B, C); options read more."""
+        return self.decided(self.embed(observation), observation)
+
+    def decided(self, embedded: Tensor, observation: Mapping[str, Tensor]) -> Tensor:
+        """Logits (B, 2) by what `embed` gives, (B, D), and what is told beside the graph."""
         told = [embedded, observation["command"].to(embedded.dtype)]
         if self.config.ego_speed:
             told.append(ego_speed(observation, embedded.dtype).T)
+        if self.config.coverage:
+            told.append(self.lanes(embedded, lane_nodes(observation, embedded.dtype)))
         logits: Tensor = self.decide(torch.cat(told, dim=1))
         return functional.relu(logits) if self.config.relu_logits else logits
 

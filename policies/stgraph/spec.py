@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, nn
 
+from cad_env.pipeline.observe_lanes import LANE_FEATURES, LaneView
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import FRAMES, OBSERVED_TRACKS, ROUTE_POINTS, Floats, Ints, Observation
 from policies.spec import SpecDefaults
@@ -17,7 +18,8 @@ from policies.stgraph.policy import StGraphPolicy
 
 SLOTS = OBSERVED_TRACKS * FRAMES
 CENTIMETRE = np.float32(0.01)  # m; as fine as messages carry positions, and much finer than the sensors
-_PARTS = ("label", "command", "ego", "kind", "aside", "first_node", "nodes")
+_NO_LANES = LaneView(np.zeros((0, len(LANE_FEATURES)), np.float32), np.zeros(0, np.int8))
+_PARTS = ("label", "command", "ego", "kind", "aside", "first_node", "nodes", "lanes", "lane_mask")
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class GraphFrames:
     ego: Floats  # (F, 4) float32
     kind: Ints  # (F, K) int8
     aside: Ints  # (F, W) int16 cm, to the left: the points of the route that the network reads
+    lanes: Floats  # (F, L, 14) float32 the lanes that the ego's way meets; L is 0 where coverage is not shared
+    lane_mask: Ints  # (F, L) int8
     part: Ints  # (F,) int32 the part that the frame is in
     first_node: Ints  # (F,) int64 in that part
     nodes: Ints  # (F,) int16 how many from there on
@@ -54,7 +58,9 @@ class GraphFrames:
             mask[row, slot] = 1
         route = np.zeros((len(frames), ROUTE_POINTS, 2), np.float32)
         route[:, WAY_POINTS, 1] = CENTIMETRE * self.aside[frames]
+        lanes = {"lanes": self.lanes[frames], "lane_mask": self.lane_mask[frames]} if self.lanes.shape[1] else {}
         return {
+            **lanes,
             "tracks": tracks.reshape(-1, OBSERVED_TRACKS, FRAMES, 3),
             "mask": mask.reshape(-1, OBSERVED_TRACKS, FRAMES),
             "command": self.command[frames],
@@ -85,6 +91,7 @@ class SeenGraph:
     ego: Floats  # (4,) float32
     kind: Ints  # (K,) int8
     aside: Ints  # (W,) int16 cm
+    lanes: LaneView  # of no lanes where coverage is not shared
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,14 @@ class StGraphSpec(SpecDefaults):
         """A new network."""
         return StGraphNet(config, seed)
 
+    def environment(self, network: nn.Module) -> dict[str, Any]:
+        """Coverage, where the network is to know what nobody vouches for."""
+        return self.looked_with(network.config)
+
+    def looked_with(self, config: Any) -> dict[str, Any]:
+        """Whether frames hold lanes."""
+        return {"coverage": True} if config.coverage else {}
+
     def look(self, simulation: Simulation, observation: Observation) -> SeenGraph:
         """The nodes of the observed graph."""
         slot = np.flatnonzero(observation["mask"].reshape(-1))
@@ -105,7 +120,7 @@ class StGraphSpec(SpecDefaults):
         rounded = np.rint(position / CENTIMETRE).astype(np.int16)
         aside = np.rint(observation["route"][list(WAY_POINTS), 1] / CENTIMETRE).astype(np.int16)
         command, ego, kind = (observation[name] for name in ("command", "ego", "kind"))
-        return SeenGraph(slot.astype(np.uint8), rounded, command, ego, kind, aside)
+        return SeenGraph(slot.astype(np.uint8), rounded, command, ego, kind, aside, _lanes_in(observation))
 
     def frames(self, looks: Sequence[SeenGraph], labels: Sequence[int]) -> GraphFrames:
         """All graphs in one record."""
@@ -115,6 +130,8 @@ class StGraphSpec(SpecDefaults):
             ego=np.array([seen.ego for seen in looks], np.float32),
             kind=np.array([seen.kind for seen in looks], np.int8),
             aside=np.array([seen.aside for seen in looks], np.int16),
+            lanes=np.array([seen.lanes.lanes for seen in looks], np.float32),
+            lane_mask=np.array([seen.lanes.lane_mask for seen in looks], np.int8),
             part=np.zeros(len(looks), np.int32),
             first_node=np.cumsum([0] + [len(seen.slot) for seen in looks[:-1]]).astype(np.int64),
             nodes=np.array([len(seen.slot) for seen in looks], np.int16),
@@ -131,6 +148,12 @@ class StGraphSpec(SpecDefaults):
         """The network as it is now."""
         assert isinstance(network, StGraphNet)
         return StGraphPolicy(network, threshold)
+
+
+def _lanes_in(observation: Observation) -> LaneView:
+    if "lanes" not in observation:
+        return _NO_LANES
+    return LaneView(observation["lanes"], observation["lane_mask"])
 
 
 SPEC = StGraphSpec()

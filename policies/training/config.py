@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from cad_env.checks import check_numbers, check_range, check_seed, check_several, settle
+from cad_env.checks import ConfigError, check_numbers, check_range, check_seed, check_several, did_you_mean, settle
+from cad_env.conditions import condition_named
 from cad_env.config import radio_config
 from cad_env.types import FRAMES
 
@@ -17,6 +18,9 @@ FINALISTS = 2  # checkpoints that are validated once more
 
 # What one unit of each kind of work costs, relative to an optimiser step: for an honest progress bar.
 REPLAYED_COST, DRIVEN_COST = 0.9, 1.6
+
+NOMINAL = "nominal"
+TEACHERS = ("expert", "coverage")  # who labels; coverage: also waits for whom nobody vouches for
 
 STEPS, VALIDATION = (3, 10**7), (1, FINAL_SEEDS - VALIDATION_SEEDS)  # least and most
 _LIMITS = {
@@ -44,12 +48,24 @@ def _shipped() -> tuple[str, ...]:
     return SHIPPED
 
 
+class TrainingCell(NamedTuple):
+    """What an episode is driven in."""
+
+    scenario: str
+    condition: str
+
+    def __str__(self) -> str:
+        return self.scenario if self.condition == NOMINAL else f"{self.scenario} {self.condition}"
+
+
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How one network is trained. Episodes are counted per scenario."""
+    """How one network is trained. Episodes are counted per scenario, and split evenly among the conditions."""
 
     scenarios: tuple[str, ...] = field(default_factory=_shipped)  # that one network learns
     radio: str = "dsrc"  # none: trained, as it will be run, without sharing
+    conditions: tuple[str, ...] = (NOMINAL,)  # names of cad_env.conditions that it learns under and is validated by
+    teacher: str = TEACHERS[0]  # one of TEACHERS
     depth: int = FRAMES  # newest frames in a message
     seed: int = 0
     episodes: int = 960  # driven by the expert
@@ -79,7 +95,8 @@ class TrainingConfig:
         settle(self, "thresholds", check_several("thresholds", self.thresholds, _check_threshold))
         if not self.thresholds or len(set(self.thresholds)) < len(self.thresholds):
             raise ValueError(f"thresholds must be at least one, each once, got {self.thresholds}")
-        self.frames_of_each(len(self.scenarios))
+        self._check_conditions()
+        self.frames_of_each(len(self.cells()))
         self._settle_network()
 
     def _settle_network(self) -> None:
@@ -89,14 +106,48 @@ class TrainingConfig:
         network = spec_named(self.spec).config_type() if self.network is None else self.network
         settle(self, "network", fitting(network, self.scenarios))
 
-    def frames_of_each(self, scenarios: int) -> tuple[int, int]:
-        """Frames of every scenario in a batch: braking, going. ValueError if there are none of either."""
-        size = max(round(self.batch / scenarios), 1)
+    def _check_conditions(self) -> None:
+        settle(
+            self, "conditions", check_several("conditions", self.conditions, lambda _, each: condition_named(each).name)
+        )
+        if not self.conditions or len(set(self.conditions)) < len(self.conditions):
+            raise ValueError(f"conditions must name at least one, each once, got {' '.join(self.conditions)!r}")
+        for name in ("episodes", "dagger_episodes", "validation", "final_validation"):
+            if getattr(self, name) < len(self.conditions):
+                least = f"at least {len(self.conditions)}, one for each of the conditions"
+                raise ValueError(f"{name} must be {least}, got {getattr(self, name)}")
+        if self.teacher not in TEACHERS:
+            near = did_you_mean(self.teacher, TEACHERS)
+            raise ConfigError(f"teacher must be one of {', '.join(TEACHERS)}, got {self.teacher!r}{near}")
+
+    @property
+    def waits(self) -> bool:
+        """Whether labels also say to wait for whom nobody vouches for."""
+        return self.teacher == "coverage"
+
+    @property
+    def learns_from_shared(self) -> bool:
+        """Whether its first demonstrations are those of the expert, which networks of all kinds share."""
+        return self.conditions == (NOMINAL,) and not self.waits
+
+    def cells(self) -> list[TrainingCell]:
+        """Every scenario under every condition."""
+        return [TrainingCell(scenario, condition) for scenario in self.scenarios for condition in self.conditions]
+
+    def seeds_of(self, cell: TrainingCell, first: int, episodes: int) -> range:
+        """The part of a cell in the seeds of a scenario's episodes, which begin with `first`."""
+        place, count = self.conditions.index(cell.condition), len(self.conditions)
+        return range(first + place * episodes // count, first + (place + 1) * episodes // count)
+
+    def frames_of_each(self, cells: int) -> tuple[int, int]:
+        """Frames of every cell in a batch: braking, going. ValueError if there are none of either."""
+        size = max(round(self.batch / cells), 1)
         brake = round(size * self.brake_share)
         if not 0 < brake < size:
+            under = " under every condition" if len(self.conditions) > 1 else ""
             raise ValueError(
                 f"batch={self.batch} with brake_share={self.brake_share} must hold frames of both kinds of every "
-                f"scenario, of which there are {scenarios}: {brake} of {size} would brake"
+                f"scenario{under}, of which there are {cells}: {brake} of {size} would brake"
             )
         return brake, size - brake
 
@@ -111,5 +162,6 @@ class TrainingConfig:
         driven = self.dagger_rounds * self.dagger_episodes + self.segments * len(rounds) * self.validation
         driven += FINALISTS * len(self.thresholds) * self.final_validation
         replayed = self.episodes + self.dagger_rounds * self.dagger_episodes
+        replayed += 0 if self.learns_from_shared else self.episodes  # which are recorded first
         per_scenario = REPLAYED_COST * replayed + DRIVEN_COST * driven
         return len(self.scenarios) * per_scenario + sum(self.steps_of(turn) for turn in rounds)

@@ -1,8 +1,8 @@
 """From nothing to a policy: record the expert, clone it, let the clone drive while the expert labels, keep the best.
 
-One network of any spec learns all scenarios of its config. The stages of a run write files, so a killed run resumes
-after the last stage it finished. Every stage draws its random numbers from (seed, stage), so stopping and resuming
-changes nothing.
+One network of any spec learns all scenarios of its config, under all its conditions: each scenario under each condition
+is a *cell*. The stages of a run write files, so a killed run resumes after the last stage it finished. Every stage
+draws its random numbers from (seed, stage), so stopping and resuming changes nothing.
 """
 
 import json
@@ -16,6 +16,8 @@ import torch
 from torch import nn
 
 from cad_env.checks import check_path
+from cad_env.conditions import condition_named
+from cad_env.config import radio_config
 from cad_env.envs.vector import CADVectorEnv
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.registry import spec_named
@@ -27,9 +29,11 @@ from policies.training.config import (
     EXPERT_SEEDS,
     FINAL_SEEDS,
     FINALISTS,
+    NOMINAL,
     REPLAYED_COST,
     VALIDATION_SEEDS,
     Advance,
+    TrainingCell,
     TrainingConfig,
     small_seed,
 )
@@ -66,16 +70,23 @@ class _Run:
         """Tell of episodes that the network drove."""
         self.advance(DRIVEN_COST * episodes)
 
-    def envs(self, scenario: str) -> CADVectorEnv:
+    def envs(self, cell: TrainingCell) -> CADVectorEnv:
         """Scenes as the network is to drive in them, as it is now."""
-        return self._envs(scenario, self.spec.environment(self.network))
+        return self._envs(cell, self.spec.environment(self.network))
 
-    def replayed(self, scenario: str) -> CADVectorEnv:
+    def replayed(self, cell: TrainingCell) -> CADVectorEnv:
         """Scenes to look at what was recorded in."""
-        return self._envs(scenario, self.spec.replayed(self.network))
+        return self._envs(cell, self.spec.replayed(self.network))
 
-    def _envs(self, scenario: str, needs: dict[str, Any]) -> CADVectorEnv:
-        return CADVectorEnv(SIDE_BY_SIDE, scenario=scenario, radio=self.config.radio, depth=self.config.depth, **needs)
+    def taught(self, cell: TrainingCell) -> CADVectorEnv:
+        """Scenes to record the teacher in, if it is not the expert that all networks share."""
+        return self._envs(cell, {})
+
+    def _envs(self, cell: TrainingCell, needs: dict[str, Any]) -> CADVectorEnv:
+        config = self.config
+        decided = condition_named(cell.condition).options(radio_config(config.radio))
+        known = {"coverage": True} if config.waits else {}
+        return CADVectorEnv(SIDE_BY_SIDE, scenario=cell.scenario, depth=config.depth, **decided, **{**known, **needs})
 
     def fitted(self, turn: int, segment: int) -> bool:
         """Whether a segment has its checkpoint."""
@@ -128,11 +139,11 @@ def train_network(
 
 
 def _learn_of(run: _Run, turn: int, frames: dict[str, Frames]) -> None:
-    """Add the frames of a round, of every scenario, as the network meets them."""
-    for name in run.config.scenarios:
-        envs, parts = run.replayed(name), []
-        folder = (run.dagger_folder if turn else run.demonstrations) / name / "frames"
-        for recorded in _recorded(run, turn, name):
+    """Add the frames of a round, of every cell, as the network meets them."""
+    for cell in run.config.cells():
+        envs, parts, name = run.replayed(cell), [], str(cell)
+        folder = (run.dagger_folder if turn else run.demonstrations) / cell.scenario / "frames"
+        for recorded in _recorded(run, turn, cell):
             parts.append(frames_of(folder, recorded, envs, run.spec, run.network))
             run.advance(REPLAYED_COST * len(recorded))
         before = [frames.pop(name)] if name in frames else []
@@ -141,20 +152,34 @@ def _learn_of(run: _Run, turn: int, frames: dict[str, Frames]) -> None:
         frames[name] = first.joined(others) if others else first
 
 
-def _recorded(run: _Run, turn: int, scenario: str) -> list[Demonstrations]:
-    """The episodes of a round: driven by the expert at first, then by the network as it was before the round."""
+def _recorded(run: _Run, turn: int, cell: TrainingCell) -> list[Demonstrations]:
+    """The episodes of a round: driven by the teacher at first, then by the network as it was before the round."""
     config = run.config
     if turn == 0:
-        return record_demonstrations(run.demonstrations, scenario, config.episodes, lambda done: None)
-    first = DAGGER_SEEDS + turn * 10_000
-    seeds = range(first, first + config.dagger_episodes)
-    shards = run.dagger_folder / scenario / f"round_{turn}"
+        return _demonstrated(run, cell)
+    seeds = config.seeds_of(cell, DAGGER_SEEDS + turn * 10_000, config.dagger_episodes)
+    shards = run.dagger_folder / cell.scenario / f"round_{turn}{_under(cell)}"
     policy = run.spec.policy(run.network, 0.5)
-    return record(shards, run.envs(scenario), policy, seeds, run.driven, config.mixing**turn)
+    return record(shards, run.envs(cell), policy, seeds, run.driven, config.mixing**turn, config.waits)
+
+
+def _demonstrated(run: _Run, cell: TrainingCell) -> list[Demonstrations]:
+    """The episodes that the teacher drives. Where it waits, they belong to the condition, and to these seeds of it."""
+    config = run.config
+    if config.learns_from_shared:
+        return record_demonstrations(run.demonstrations, cell.scenario, config.episodes, lambda done: None)
+    seeds = config.seeds_of(cell, EXPERT_SEEDS, config.episodes)
+    folder = run.demonstrations / cell.scenario / f"{config.teacher}_{seeds.start}-{seeds.stop - 1}{_under(cell)}"
+    return record(folder, run.taught(cell), None, seeds, lambda n: run.advance(REPLAYED_COST * n), waits=config.waits)
+
+
+def _under(cell: TrainingCell) -> str:
+    """What the name of a folder says of the condition."""
+    return "" if cell.condition == NOMINAL else f"_{cell.condition}"
 
 
 def _round(run: _Run, turn: int, frames: Mapping[str, Frames]) -> None:
-    """Fit the network to the frames so far, in segments, each validated in closed loop on every scenario."""
+    """Fit the network to the frames so far, in segments, each validated in closed loop in every cell."""
     config = run.config
     before, total = (sum(map(config.steps_of, range(rounds))) for rounds in (turn, config.dagger_rounds + 1))
     size = config.steps_of(turn) // config.segments
@@ -168,33 +193,36 @@ def _round(run: _Run, turn: int, frames: Mapping[str, Frames]) -> None:
             steps = range(before + segment * size, before + (segment + 1) * size)
             loss = fit(run.spec, run.network, run.optimiser, frames, config, steps, total, rng, run.advance)
             save_state(checkpoint(run.folder, turn, segment), run.network, run.optimiser, loss)
-        seeds = range(VALIDATION_SEEDS, VALIDATION_SEEDS + config.validation)
-        _validate(run, run.log, (turn, segment, VALIDATED_AT), loss, seeds)
+        _validate(run, run.log, (turn, segment, VALIDATED_AT), loss, (VALIDATION_SEEDS, config.validation))
 
 
-def _validate(run: _Run, log: Log, which: tuple[int, int, float], loss: float, seeds: range) -> None:
-    """Note what the network is worth in closed loop, in every scenario of which that is not yet known."""
+def _validate(run: _Run, log: Log, which: tuple[int, int, float], loss: float, episodes: tuple[int, int]) -> None:
+    """Note what the network is worth in closed loop, in every cell of which that is not yet known.
+
+    episodes: the first seed of a scenario, and how many.
+    """
     turn, segment, threshold = which
-    policy, known = run.spec.policy(run.network, threshold), {row["scenario"] for row in log.of(*which)}
-    for name in run.config.scenarios:
-        if name in known:
+    policy, rows = run.spec.policy(run.network, threshold), log.of(*which)
+    known = {(row["scenario"], row["condition"]) for row in rows}
+    for cell in run.config.cells():
+        seeds = run.config.seeds_of(cell, *episodes)
+        if cell in known:
             run.driven(len(seeds))
             continue
-        found = summary(drive_episodes(policy, run.envs(name), seeds, run.driven))
-        kind = {"round": turn, "segment": segment, "scenario": name, "loss": round(loss, 5), "threshold": threshold}
-        log.add({**kind, **found})
+        found = summary(drive_episodes(policy, run.envs(cell), seeds, run.driven))
+        kind = {"round": turn, "segment": segment, "loss": round(loss, 5), "threshold": threshold}
+        log.add({**kind, **cell._asdict(), **found})
 
 
 def _keep_best(run: _Run) -> None:
     """Validate the best checkpoints at every threshold on further seeds, and save the winner as the model."""
     config, log = run.config, run.finals
-    seeds = range(FINAL_SEEDS, FINAL_SEEDS + config.final_validation)
     finalists: list[tuple[int, int, float]] = []
     for turn, segment, _ in run.log.ranked()[:FINALISTS]:
         loss = run.load(turn, segment)
         for threshold in config.thresholds:
             finalists.append((turn, segment, threshold))
-            _validate(run, log, finalists[-1], loss, seeds)
+            _validate(run, log, finalists[-1], loss, (FINAL_SEEDS, config.final_validation))
     best, *_ = log.ranked()
     run.load(*best[:2])
     notes = {

@@ -7,7 +7,7 @@ episode, whatever is sensed or shared in it: the same demonstrations serve every
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -18,7 +18,6 @@ import numpy as np
 from cad_env.checks import ConfigError
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.files import FileError, parse_json, shortened
-from cad_env.rules.expert import decisions, expert_of
 from cad_env.scenarios.registry import outside_sources
 from cad_env.scoring.rollout import BatchPolicy, play_episodes
 from cad_env.simulation.scene_step import COLLIDED, SUCCEEDED, TIMED_OUT
@@ -27,6 +26,7 @@ from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, GO, Bools, Ints, Observation
 from cad_env.version import version
 from policies.training.array_file import read_arrays, write_arrays
+from policies.training.teacher import Teacher
 
 SHARD_EPISODES = 64
 KEPT_EVERY = 1.0  # s, what has ended of a shard is written
@@ -86,21 +86,26 @@ def record(
     seeds: Sequence[int],
     advance: Callable[[int], object],
     mixing: float = 0.0,
+    waits: bool = False,
 ) -> list[Demonstrations]:
     """Drive an episode per seed, ask the expert in every frame, and keep the shards that are already there.
 
+    `waits`: a teacher takes the expert's place, which also waits for whom nobody vouches for (`Teacher`); what it says
+    depends on who senses and sends what, so its episodes are replayed in scenes with the same options.
     Without a policy the expert drives; beside one it takes a share of the decisions, `mixing`. `advance` is told how
     many episodes were finished. Every shard is written whole or not at all, so two processes may record at once; what
     has ended of the next one is kept every second. Raises FileError for a shard that is damaged or of other episodes.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    made_with, parts = scenes_of(envs.batch.simulations[0].setup), []
+    made_with, parts = _made_with(envs.batch.simulations[0].setup, waits), []
     for start in range(0, len(seeds), SHARD_EPISODES):
         wanted = list(seeds[start : start + SHARD_EPISODES])
         path = folder / f"shard_{start // SHARD_EPISODES:05d}.npz"
         begun = path.with_suffix(".begun.npz")
         if not path.exists():
-            write_shard(path, _completed(begun, made_with, wanted, partial(_drive, envs, policy, mixing)), made_with)
+            write_shard(
+                path, _completed(begun, made_with, wanted, partial(_drive, envs, policy, mixing, waits)), made_with
+            )
         begun.unlink(missing_ok=True)
         part = read_shard(path, made_with)
         if part.seed.tolist() != wanted:
@@ -162,17 +167,17 @@ def _completed(begun: Path, made_with: Mapping[str, Any], seeds: list[int], driv
 
 
 def _drive(
-    envs: CADVectorEnv, policy: BatchPolicy | None, mixing: float, seeds: Sequence[int]
+    envs: CADVectorEnv, policy: BatchPolicy | None, mixing: float, waits: bool, seeds: Sequence[int]
 ) -> Iterator[Demonstrations]:
     """One episode after another, as they end."""
     batch = envs.batch
-    expert = expert_of(batch.simulations[0].scenario)
+    teacher = Teacher(batch, waits)
     actions: list[list[int]] = [[] for _ in seeds]
     labels: list[list[int]] = [[] for _ in seeds]
     rng = [np.random.default_rng([seed, 1]) for seed in seeds]
 
     def decide(which: Ints, episodes: Ints) -> Ints:
-        label = decisions(expert, batch.truths(which))
+        label = teacher.labels(which)
         action = label
         if policy is not None:
             seen = {name: part[which] for name, part in batch.observations.items()}
@@ -198,6 +203,14 @@ def scenes_of(setup: Setup) -> dict[str, Any]:
         "scenario": setup.scenario, "ranges": ranges, "traffic": setup.traffic,
         "penetration": setup.penetration, "version of cad_env": version(), **outside_sources(setup.scenario),
     }  # fmt: skip
+
+
+def _made_with(setup: Setup, waits: bool) -> dict[str, Any]:
+    """All that a shard depends on beside its seeds and the policy that drives."""
+    if not waits:
+        return scenes_of(setup)
+    heard = {"radio": asdict(setup.radio), "sensor": asdict(setup.sensor), "depth": setup.depth}
+    return {**scenes_of(setup), "waits over": heard}
 
 
 def write_shard(path: Path, recorded: Demonstrations, made_with: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What the checkpoints of a training run were worth: a table with a row for each scenario that one was driven in."""
+"""What the checkpoints of a training run were worth: a table with a row for each cell that one was driven in."""
 
 import csv
 import io
@@ -29,20 +29,22 @@ def summary(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 
 def worth(rows: Iterable[Mapping[str, Any]]) -> Worth:
-    """The worth of a policy by its summaries, one a scenario, all of equally many episodes."""
+    """The worth of a policy by its summaries, one for every scenario and condition, all of about as many episodes."""
     found = list(rows)
     failures, needless = (sum(row[name] for row in found) for name in ("failures", "needless_brakes"))
-    return Worth(failures, needless, sum(row["mean_time"] for row in found) / len(found))
+    several = len({row["condition"] for row in found}) > 1
+    worst = max(row["collisions"] for row in found) if several else 0
+    return Worth(failures, needless, sum(row["mean_time"] for row in found) / len(found), worst)
 
 
 class Log:
     """The file and its rows, each on the disk when it is known. A last row that was torn is made again."""
 
     COLUMNS = (
-        "round", "segment", "scenario", "loss", "threshold", "episodes", "collisions", "timeouts", "failures",
-        "mean_time", "calm", "needless_brakes",
+        "round", "segment", "scenario", "condition", "loss", "threshold", "episodes", "collisions", "timeouts",
+        "failures", "mean_time", "calm", "needless_brakes",
     )  # fmt: skip
-    OF_ALL = ("round", "segment", "loss", "threshold")  # the same in every scenario
+    OF_ALL = ("round", "segment", "loss", "threshold")  # the same in every cell
 
     def __init__(self, path: Path) -> None:
         """Open the file, or begin one. FileError, with line and column, if it is damaged."""
@@ -95,7 +97,7 @@ class Log:
 
 def _value(column: str, text: str) -> str | int | float:
     """What is in a column of a row; ConfigError for what it cannot hold."""
-    if column == "scenario":
+    if column in ("scenario", "condition"):
         return text
     if column == "loss" and text in _NO_NUMBER:  # of a training that came to nothing
         return float(text)

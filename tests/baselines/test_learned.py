@@ -27,8 +27,8 @@ RUN = {
     "episodes": 6,
     "dagger_rounds": 1,
     "steps": 4,
-    "validation": 1,
-    "dagger_episodes": 1,
+    "validation": 5,
+    "dagger_episodes": 5,
 }
 
 

@@ -13,6 +13,8 @@ from torch_geometric.data import Batch, HeteroData
 from torch_geometric.nn import MessagePassing
 from torch_geometric.utils import scatter, softmax
 
+from cad_env.pipeline.observe_lanes import LANE_FEATURES
+from cad_env.world.drivers import COMMANDED_BRAKING
 from policies.stgraph.network import StGraphConfig
 
 STEP = 0.1
@@ -27,7 +29,7 @@ class Node:
     time: float
 
 
-def to_hetero_data(tracks, mask, command, ego, kind, route, config: StGraphConfig) -> HeteroData:
+def to_hetero_data(tracks, mask, command, ego, kind, route, lanes, lane_mask, config: StGraphConfig) -> HeteroData:
     """One observation as a PyG graph; its first node is the ego."""
     frames = mask.shape[1]
     first = 0 if config.temporal else frames - 1
@@ -41,6 +43,8 @@ def to_hetero_data(tracks, mask, command, ego, kind, route, config: StGraphConfi
     data["object"].x = torch.tensor(np.array([_inputs(node, every, ego, kind, route, config) for node in nodes]))
     data["object"].is_ego = torch.tensor([node.track == -1 for node in nodes])
     data.command = torch.tensor(np.array([command], dtype=float))
+    if config.coverage:
+        _add_lanes(data, lanes[lane_mask == 1].astype(float), ego.astype(float))
     data.speed = torch.tensor([[float(ego[0]) / 10]], dtype=torch.float64)
     for relation, joined, attribute in ((SPATIAL, _joined_in_space, _distance), (TEMPORAL, _joined_in_time, _gap)):
         pairs = [
@@ -53,6 +57,32 @@ def to_hetero_data(tracks, mask, command, ego, kind, route, config: StGraphConfi
         values = [attribute(nodes[s], nodes[t], config) for s, t in pairs]
         data[relation].edge_attr = torch.tensor(values, dtype=torch.float64).reshape(-1, 1)
     return data
+
+
+def _add_lanes(data: HeteroData, lanes: np.ndarray, ego: np.ndarray) -> None:
+    """A lane and a phantom for every lane that is there, and their edges to the ego."""
+    rows = [_lane_inputs(dict(zip(LANE_FEATURES, lane, strict=True)), ego[0], ego[1]) for lane in lanes]
+    for kind, name in enumerate(("lane", "phantom")):
+        inputs = [row[kind] for row in rows]
+        data[name].x = torch.tensor(np.array(inputs).reshape(len(rows), (11, 10)[kind]))
+        data[name].edge = torch.tensor([row[2 + kind] for row in rows], dtype=torch.float64)
+
+
+def _lane_inputs(of: dict[str, float], speed: float, target: float) -> tuple[list[float], list[float], float, float]:
+    past, target, left, now = 0.0, max(target, speed, 1.0), max(of["through"], 0.0), speed
+    to_target = (target**2 - now**2) / 4.0  # at 2 m/s2
+    if left < to_target:
+        past = (np.sqrt(now**2 + 4.0 * left) - now) / 2.0
+    else:
+        past = (target - now) / 2.0 + (left - to_target) / target
+    spare = float(np.clip((of["time"] - past) / 2, -2, 2))
+    brake = float(np.clip((of["reach"] - 0.2 * now - now**2 / (2 * COMMANDED_BRAKING)) / 5, -3, 3))
+    lane = [of["x"] / 50, of["y"] / 50, of["cos"], of["sin"], of["reach"] / 20, of["through"] / 20, brake,
+            min(past, 10) / 5, min(of["age"], 2.0), of["speed"] / 10, now / 10]  # fmt: skip
+    phantom = [of["phantom_x"] / 50, of["phantom_y"] / 50, of["phantom_cos"], of["phantom_sin"],
+               float(np.clip(of["hidden"], -20, 100)) / 50, float(of["hidden"] < 200), of["time"] / 5, spare,
+               of["speed"] / 10, now / 10]  # fmt: skip
+    return lane, phantom, of["reach"] / 20, spare
 
 
 def _distance(source: Node, target: Node, config: StGraphConfig) -> float:
@@ -138,6 +168,42 @@ class TwinImportance(nn.Module):
         return scatter(torch.tanh(x @ self.weight.T + self.bias) @ self.query, batch, reduce="mean")
 
 
+class TwinLanes(MessagePassing):
+    """The lanes and phantoms of a batch, each a row with the number of its scene."""
+
+    def __init__(self, config: StGraphConfig) -> None:
+        super().__init__(aggr="add", node_dim=0)
+        heads, width, inner = config.heads, config.head_width, config.hidden
+        self.config = config
+        self.lane, self.phantom, self.meet = nn.Linear(11, inner), nn.Linear(10, inner), nn.Linear(2 * inner, inner)
+        self.weight = nn.Parameter(torch.empty(heads * width, width))
+        self.lane_weight = nn.Parameter(torch.empty(heads * width, inner))
+        self.phantom_weight = nn.Parameter(torch.empty(heads * width, inner))
+        self.edge_weight = nn.Parameter(torch.empty(2, heads, width))
+        self.attend_target = nn.Parameter(torch.empty(heads, width))
+        self.attend_source = nn.Parameter(torch.empty(2, heads, width))
+        self.attend_edge = nn.Parameter(torch.empty(2, heads, width))
+
+    def forward(self, ego: Tensor, data: Batch) -> Tensor:
+        shape, scene = (-1, self.config.heads, self.config.head_width), data["lane"].batch
+        phantom = torch.relu(self.phantom(data["phantom"].x.to(ego.dtype)))
+        lane = torch.relu(self.lane(data["lane"].x.to(ego.dtype)))
+        lane = torch.relu(self.meet(torch.cat([lane, phantom], dim=1)))
+        said = torch.cat([(lane @ self.lane_weight.T).view(shape), (phantom @ self.phantom_weight.T).view(shape)])
+        kind = torch.arange(2).repeat_interleave(len(scene))
+        length = torch.cat([data["lane"].edge, data["phantom"].edge]).to(ego.dtype)
+        own = (ego @ self.weight.T).view(shape)
+        edges = torch.stack([torch.arange(len(said)), scene.repeat(2)])
+        heard = self.propagate(edges, own=(said, own), kind=kind, length=length, size=(len(said), len(own)))
+        return torch.relu(own + heard).flatten(1)
+
+    def message(self, own_i, own_j, kind: Tensor, length: Tensor, index: Tensor, size_i: int) -> Tensor:
+        edge = length[:, None, None] * self.edge_weight[kind]
+        score = (own_i * self.attend_target + own_j * self.attend_source[kind] + edge * self.attend_edge[kind]).sum(-1)
+        alpha = softmax(torch.where(score > 0, score, self.config.attn_slope * score), index, num_nodes=size_i)
+        return alpha.unsqueeze(-1) * (own_j + edge)
+
+
 class PygTwin(nn.Module):
     """Takes the state dict of a StGraphNet of the same configuration."""
 
@@ -156,6 +222,9 @@ class PygTwin(nn.Module):
                 self.importance[str(depth)] = TwinImportance(config.head_width if depth == last else joined)
         wide = config.mlp_width
         told = config.head_width + 6 + config.ego_speed
+        if config.coverage:
+            self.lanes = TwinLanes(config)
+            told += joined
         self.decide = nn.Sequential(
             nn.Linear(told, wide), nn.ReLU(), nn.Linear(wide, wide), nn.ReLU(), nn.Linear(wide, 2)
         )
@@ -177,5 +246,7 @@ class PygTwin(nn.Module):
         told = [states["spatial"][data["object"].is_ego], data.command]
         if self.config.ego_speed:
             told.append(data.speed)
+        if self.config.coverage:
+            told.append(self.lanes(told[0], data))
         logits = self.decide(torch.cat([part.to(self.project.weight.dtype) for part in told], dim=-1))
         return torch.relu(logits) if self.config.relu_logits else logits

@@ -18,6 +18,7 @@ from torch.autograd.function import once_differentiable
 from cad_env.types import Floats
 from policies.layers import Linear
 from policies.stgraph.compiled.attention import HEADS, LayerWeights, multiply
+from policies.stgraph.compiled.lanes import FusedLanes
 from policies.stgraph.compiled.passes import GraphBatch, Weights, backward, forward
 from policies.stgraph.compiled.relation_weights import Matter
 from policies.stgraph.config import StGraphConfig
@@ -46,9 +47,7 @@ def fused_logits(network: StGraphNet, observation: Mapping[str, Tensor]) -> Tens
     if not _is_fused(network):
         logits: Tensor = network(observation)
         return logits
-    embedded = fused_embedding(network, observation)
-    decided: Tensor = network.decide(torch.cat([embedded, observation["command"].to(embedded.dtype)], dim=1))
-    return decided
+    return network.decided(fused_embedding(network, observation), observation)
 
 
 def fused_embedding(network: StGraphNet, observation: Mapping[str, Tensor]) -> Tensor:
@@ -73,6 +72,7 @@ class FusedNet:
 
     def __init__(self, network: StGraphNet) -> None:
         self._config = network.config
+        self._lanes = FusedLanes(network.lanes) if network.config.coverage else None
         with torch.no_grad():
             self._weights = _named([weight.numpy().copy() for weight in _weights(network)])
             layers = [layer for layer in network.decide if isinstance(layer, Linear)]
@@ -84,7 +84,10 @@ class FusedNet:
         """Logits (B, 2)."""
         parts = _parts(_batch(observation, self._config))
         embedded = [forward(part, self._config, self._weights).embedding for part in parts]
-        x = np.concatenate([np.concatenate(embedded), observation["command"]], axis=1)
+        told = [np.concatenate(embedded), observation["command"]]
+        if self._lanes is not None:
+            told.append(self._lanes(told[0], observation))
+        x = np.concatenate(told, axis=1)
         for weight, bias in self._decide[:-1]:
             x = np.maximum(multiply(x, weight) + bias, 0)
         weight, bias = self._decide[-1]

@@ -11,7 +11,7 @@ from torch.nn.functional import cross_entropy
 
 import cad_env
 import policies
-from baselines.methods import shipped_models
+from baselines.methods import MOTION, shipped_models
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.numerics.jit import cache_folder
 from cad_env.scenarios import SCENARIOS
@@ -25,7 +25,7 @@ from policies.stgraph.spec import SPEC
 from policies.training.cloning import fit
 from policies.training.config import TrainingConfig
 from policies.training.demonstrations import joined, record, replay
-from tests.policies.stgraph.test_stgraph import PAPER, VARIANTS, network, observations, tensors
+from tests.policies.stgraph.test_stgraph import PAPER, VARIANTS, lanes, network, observations, tensors
 
 torch.set_num_threads(1)
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="plain Python takes the dense way")
@@ -37,6 +37,8 @@ FUSED = {
     "velocity": StGraphConfig(velocity=True),
     "ego way": StGraphConfig(ego_way=True),
     "every third frame": VARIANTS["every third frame"],
+    "coverage": VARIANTS["coverage"],
+    "motion and coverage": StGraphConfig(**MOTION, coverage=True),
     "other widths": StGraphConfig(head_width=2, hidden=5, mlp_width=9, position_scale=0.1, attn_slope=1.0),
 }
 DENSE = {name: config for name, config in VARIANTS.items() if name not in FUSED} | {
@@ -129,6 +131,9 @@ def scenes(rng: np.random.Generator, count: int) -> Arrays:
     """Random scenes of every density and size."""
     batch = observations(int(rng.integers(2**31)), count, tracks=16, frames=15)
     batch["mask"] *= rng.random((count, 16, 1)) < rng.random((count, 1, 1))
+    batch |= lanes(rng, count)
+    order = rng.permutation(count)
+    batch |= {name: batch[name][order] for name in ("lanes", "lane_mask")}
     batch["tracks"] *= rng.choice([0.1, 1.0, 3.0], (count, 1, 1, 1)).astype(np.float32)
     return batch
 
@@ -198,6 +203,24 @@ def test_the_decision_network_keeps_the_weights_that_it_was_made_with() -> None:
     np.testing.assert_array_equal(fused(batch), before)
 
 
+def test_the_gradient_of_the_lanes_is_that_of_finite_differences() -> None:
+    net, batch = network(StGraphConfig(coverage=True), seed=4), tensors(observations(graphs=6, tracks=3, frames=4))
+    fused_logits(net, batch)[:, 1].sum().backward()
+    rng = np.random.default_rng(0)
+    for name, parameter in net.lanes.named_parameters():
+        assert parameter.grad.abs().max() > 1e-6, name
+        at = tuple(rng.integers(size) for size in parameter.shape)
+        ahead, behind = (_nudged(net, parameter, at, step, batch) for step in (1e-6, -1e-6))
+        assert float(parameter.grad[at]) == pytest.approx((ahead - behind) / 2e-6, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["coverage", "motion and coverage"])
+def test_lanes_are_decided_on_as_by_the_dense_network(name: str) -> None:
+    net, batch = network(FUSED[name]), scenes(np.random.default_rng(3), 60)
+    assert set(batch["lane_mask"].sum(axis=1)) == {0, 1, 2, 3, 4}
+    np.testing.assert_allclose(FusedNet(net)(batch), dense_logits(net, batch), rtol=0, atol=1e-12)
+
+
 def test_two_forward_passes_before_a_backward_one_do_not_disturb_each_other() -> None:
     net = network()
     one, other = tensors(observations(seed=1)), tensors(observations(seed=2))
@@ -218,7 +241,7 @@ def test_any_other_network_goes_the_dense_way(name: str) -> None:
 
 def test_every_knob_of_the_network_is_either_computed_or_left_to_the_dense_one() -> None:
     told = {"attn_slope", "position_scale", "hidden", "mlp_width", "head_width", "edge_attributes", "velocity",
-            "commands", "ego_way", "frame_stride"}  # fmt: skip
+            "commands", "ego_way", "frame_stride", "coverage"}  # fmt: skip
     left = {"heads", "layers", "fusion", "temporal_edges", "temporal", "node_time", "relu_logits", "ego_speed"}
     assert {knob.name for knob in dataclasses.fields(StGraphConfig)} == told | left | {"class_input", "commands"}
     assert all(map(supports, FUSED.values()))

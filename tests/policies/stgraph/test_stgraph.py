@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch.nn.functional import cross_entropy
 
+from cad_env.pipeline.observe_lanes import LANE_FEATURES
 from policies.stgraph.features import window_velocity
 from policies.stgraph.network import StGraphConfig, StGraphNet, _WeightedSum
 
@@ -24,6 +25,7 @@ VARIANTS = {
     "consecutive": StGraphConfig(temporal_edges="consecutive"),
     "causal": StGraphConfig(temporal_edges="causal"),
     "every input": EVERY_INPUT,
+    "coverage": StGraphConfig(coverage=True),
     "every third frame": StGraphConfig(velocity=True, ego_way=True, frame_stride=3),
     "one layer": StGraphConfig(layers=1, heads=2, head_width=5, hidden=7, mlp_width=9, position_scale=0.1),
 }
@@ -43,7 +45,20 @@ def observations(seed: int = 0, graphs: int = 8, tracks: int = 5, frames: int = 
         "ego": rng.uniform(1.0, 15.0, (graphs, 4)).astype(np.float32),
         "command": np.eye(6, dtype=np.int8)[rng.integers(0, 6, graphs)],
         "route": rng.normal(0.0, 10.0, (graphs, 40, 2)).astype(np.float32),
+        **lanes(rng, graphs),
     }
+
+
+def lanes(rng: np.random.Generator, graphs: int) -> dict[str, np.ndarray]:
+    """Four lanes down to none, half of them without a phantom; what is masked is garbage."""
+    mask = (np.arange(4) < np.arange(graphs)[::-1, None]).astype(np.int8)
+    found = np.where(mask[..., None] == 1, rng.uniform(-1.0, 1.0, (graphs, 4, 14)), np.nan)
+    scale = {"x": 50, "y": 20, "reach": 40, "through": 60, "hidden": 60, "age": 5, "time": 8, "speed": 15}
+    for name, size in scale.items():
+        found[..., LANE_FEATURES.index(name)] *= size
+    found[..., LANE_FEATURES.index("time")] += 4
+    found[:, ::2, LANE_FEATURES.index("hidden")] = 200.0
+    return {"lanes": found.astype(np.float32), "lane_mask": mask}
 
 
 def tensors(batch: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
@@ -73,7 +88,7 @@ def compare_with_twin(config: StGraphConfig, dtype: torch.dtype) -> tuple[float,
     net = network(config).to(dtype)
     twin = PygTwin(config).to(dtype)
     twin.load_state_dict(net.state_dict())
-    keys = ("tracks", "mask", "command", "ego", "kind", "route")
+    keys = ("tracks", "mask", "command", "ego", "kind", "route", "lanes", "lane_mask")
     graphs = [to_hetero_data(*(batch[key][i] for key in keys), config) for i in range(len(batch["mask"]))]
     here, there = net(tensors(batch)), twin(graphs)
     truth = torch.arange(len(here)) % 2
@@ -177,7 +192,14 @@ def test_the_past_and_the_future_are_told_apart() -> None:
 
 @pytest.mark.parametrize(
     ("switch", "key"),
-    [("ego_speed", "ego"), ("velocity", "ego"), ("class_input", "kind"), ("ego_way", "ego"), ("ego_way", "route")],
+    [
+        ("ego_speed", "ego"),
+        ("velocity", "ego"),
+        ("class_input", "kind"),
+        ("ego_way", "ego"),
+        ("ego_way", "route"),
+        ("coverage", "lanes"),
+    ],
 )
 def test_speed_and_kind_reach_the_decision_only_when_asked(switch: str, key: str) -> None:
     batch = observations()
@@ -213,6 +235,7 @@ def test_the_same_seed_gives_the_same_weights_and_leaves_torch_alone() -> None:
         ("mlp_width", 10**9),
         ("velocity", 1),
         ("ego_way", "yes"),
+        ("coverage", None),
         ("frame_stride", 0),
         ("attn_slope", -0.1),
         ("position_scale", float("nan")),

@@ -213,7 +213,7 @@ def test_the_best_checkpoint_fails_least_over_all_scenarios_and_is_quickest_then
 
     def add(segment: int, scenario: str, failures: int, time: float) -> None:
         found = {**dict.fromkeys(Log.COLUMNS, 0), "segment": segment, "threshold": 0.5}
-        log.add({**found, "scenario": scenario, "failures": failures, "mean_time": time})
+        log.add({**found, "scenario": scenario, "condition": "nominal", "failures": failures, "mean_time": time})
 
     for segment, failures, times in ((0, (0, 5), (9.0, 9.0)), (1, (2, 2), (9.0, 12.0)), (2, (4, 0), (9.0, 11.0))):
         for name, few, time in zip(("one", "two"), failures, times, strict=True):
@@ -349,7 +349,7 @@ def test_a_damaged_value_in_a_log_is_refused_with_line_and_column(
 ) -> None:
     path = tmp_path / "finalists.csv"
     log = Log(path)
-    row = {**dict.fromkeys(Log.COLUMNS, 0), "scenario": "left_turn", "threshold": 0.5}
+    row = {**dict.fromkeys(Log.COLUMNS, 0), "scenario": "left_turn", "condition": "nominal", "threshold": 0.5}
     log.add(row)
     log.add({**row, column: text})
     with pytest.raises(FileError, match=re.escape(f"{path}: line 3: {reason}")) as error:
@@ -359,7 +359,7 @@ def test_a_damaged_value_in_a_log_is_refused_with_line_and_column(
 
 def test_a_log_comes_back_as_it_was(tmp_path: Path) -> None:
     log = Log(tmp_path / "metrics.csv")
-    row = {**dict.fromkeys(Log.COLUMNS, 0), "scenario": "left_turn"}
+    row = {**dict.fromkeys(Log.COLUMNS, 0), "scenario": "left_turn", "condition": "alone"}
     for threshold, loss in ((1, 0.25), (0.5, math.nan), (0, math.inf)):
         log.add({**row, "threshold": threshold, "loss": loss})
     before = (tmp_path / "metrics.csv").read_bytes()

@@ -76,8 +76,6 @@ def test_frames_are_the_observations_that_were_replayed(recorded: Demonstrations
             values, wanted = values[:, WAY_POINTS, 1], wanted[:, WAY_POINTS, 1]
         if name == "tracks":  # where there is no node there is nothing to keep
             wanted = wanted * frames.batch(chosen)["mask"][..., None]
-        if name == "route":  # how far the way bends aside is all that a network reads of it
-            values, wanted = (of[:, WAY_POINTS, 1] for of in (values, wanted))
         np.testing.assert_allclose(values, wanted, rtol=0, atol=half_a_centimetre, err_msg=name)
     assert len(frames) == recorded.length.sum()
     assert 0.0 < (frames.label == BRAKE).mean() < 0.3

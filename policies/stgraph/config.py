@@ -90,6 +90,14 @@ class StGraphConfig:
                 raise ValueError(f"network {name} must be {idle!r} when temporal is False, got {getattr(self, name)!r}")
 
     @property
+    def reads(self) -> tuple[str, ...]:
+        """The parts of an observation that the network reads."""
+        names = ["tracks", "mask", "command"]
+        names += ["ego"] * (self.velocity or self.ego_speed or self.ego_way or self.coverage)
+        names += ["kind"] * self.class_input + ["route"] * self.ego_way
+        return (*names, *["lanes", "lane_mask"] * self.coverage)
+
+    @property
     def node_inputs(self) -> int:
         """Numbers that a node carries: x, y, z and what the options add."""
         return 3 + self.node_time + 2 * self.velocity + self.class_input + EGO_WAY * self.ego_way

@@ -23,11 +23,7 @@ class StGraphPolicy(ThresholdPolicy):
 
     def __init__(self, network: StGraphNet, threshold: float = 0.5) -> None:
         config = network.config
-        keys = ["tracks", "mask", "command"]
-        keys += ["ego"] * (config.velocity or config.ego_speed or config.ego_way or config.coverage)
-        keys += ["kind"] * config.class_input + ["route"] * config.ego_way
-        keys += ["lanes", "lane_mask"] * config.coverage
-        super().__init__(keys, threshold, config.commands)
+        super().__init__(config.reads, threshold, config.commands)
         self._logits = FusedNet(network) if supports(config) else DenseNet(network, _AT_ONCE)
 
     def brake_probability(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:

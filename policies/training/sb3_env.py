@@ -24,10 +24,9 @@ class Scenes(VecEnv):
     """
 
     def __init__(self, count: int, scenarios: Sequence[str], radio: str, config: StGraphConfig) -> None:
-        self.scenes = CADVectorEnv(count, "Disabled", scenario=scenarios, radio=radio)
+        self.scenes = CADVectorEnv(count, "Disabled", scenario=scenarios, radio=radio, coverage=config.coverage)
         whole = self.scenes.single_observation_space
-        ego = ["ego"] * (config.velocity or config.ego_speed or config.ego_way)
-        self.names = ["tracks", "mask", "command", *ego, *["kind"] * config.class_input]
+        self.names = config.reads
         self.render_mode = None
         super().__init__(count, spaces.Dict({name: whole[name] for name in self.names}), spaces.Discrete(2))
         self._chance = np.random.default_rng(0)

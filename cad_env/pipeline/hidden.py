@@ -16,6 +16,7 @@ import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part, inlined_part
 from cad_env.types import FRAMES, STEP, TRUCK, Bytes, GraphArrays, Ints
+from cad_env.world.geometry import ALONG
 from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
 
 NOT_YET = -1_000_000  # in place of the step of what is known of a lane
@@ -24,16 +25,18 @@ HALF = (2.1, 4.0)  # m, half the length of the shortest car and truck that the s
 STANDING_SPEED = 0.5  # m/s of a track of LONG frames or more, below which it is taken to stand
 LONG = 8  # frames from the oldest node of a track to its newest
 FRESH = 10  # frames, after which a node does not tell where a vehicle is any more
-UNDER, CLOSED = 1, 2  # in `known`: nobody else can be there; and nobody can come through there
+PATIENCE, MOST = 20, 250  # steps
+FOLLOWS = 6  # places behind a known vehicle, in which whoever is hidden moves as it does
+UNDER, LEADS, CLOSED = 1, 2, 3  # in `known`: nobody else can be there; it moves along the lane; nobody comes through
 
 
 class Hidden(NamedTuple):
     """What R receivers do not know, of L lanes of P places each that their own ways meet, as `Lanes.other` has them."""
 
-    places: Bytes  # (R, L, P) 1 where a vehicle may be
+    places: Bytes  # (R, L, P) 0 where nobody can be; else 1 and the steps that it must have lost against TOP_SPEED
     heard: Ints  # (R, L) int64 the newest step of which anything is known of a lane, NOT_YET for none
     wall: Bytes  # (R, L, P) 0 where nobody comes to a place from the one before it, else 1
-    known: Bytes  # (R, L, P) UNDER or CLOSED by a known vehicle, else 0
+    known: Bytes  # (R, L, P) UNDER, LEADS or CLOSED by a known vehicle, else 0
 
 
 def new_hidden(receivers: int, lanes: Lanes) -> Hidden:
@@ -60,10 +63,24 @@ def grow(hidden: Hidden, lanes: Lanes, route: int) -> None:
         b = lanes.other[route, k]
         if b < 0:
             continue
-        places, wall = hidden.places[k], hidden.wall[k]
+        places, wall, known = hidden.places[k], hidden.wall[k], hidden.known[k]
         for i in range(PLACES - 1, 0, -1):
-            places[i] |= places[i - 1] & wall[i]
+            came, stayed = places[i - 1] * wall[i], places[i]
+            if stayed:
+                stayed = min(stayed + 1, MOST)
+            places[i] = stayed if came == 0 or 0 < stayed < came else came
+        _flow(places, known)
         for i in range(min(lanes.first[b] + 1, PLACES)):  # where vehicles enter what is known of a lane
+            places[i] = 1
+
+
+@inlined_part
+def _flow(places: Bytes, known: Bytes) -> None:
+    """Whoever is hidden under a known vehicle that moves, or just behind it, moves with it."""
+    near = 0
+    for i in range(PLACES - 1, -1, -1):
+        near = FOLLOWS + 1 if known[i] == LEADS else near - 1
+        if near > 0 and places[i]:
             places[i] = 1
 
 
@@ -99,9 +116,12 @@ def note_known(hidden: Hidden, lanes: Lanes, route: int, merged: GraphArrays) ->
         for k in range(hidden.places.shape[0]):
             b = lanes.other[route, k]
             if b >= 0:
-                arc, beside, ahead = place_beside(lanes, b, x, y, x + STEP * age * vx, y + STEP * age * vy)
+                arc, beside, later = place_beside(lanes, b, x, y, x + vx, y + vy)
                 if beside < ON_IT:
-                    _mark(hidden.known[k], hidden.wall[k], arc, ahead, half, stands)
+                    along = PLACE * (later - arc) > ALONG * math.hypot(vx, vy)
+                    under = LEADS if along and not stands else UNDER
+                    ahead = arc + STEP * age * (later - arc)
+                    _mark(hidden.known[k], hidden.wall[k], arc, ahead, half, stands, under)
 
 
 @inlined_part
@@ -141,9 +161,10 @@ def place_beside(lanes: Lanes, b: int, x: float, y: float, to_x: float, to_y: fl
 
 
 @inlined_part
-def _mark(known: Bytes, wall: Bytes, arc: float, ahead: float, half: float, stands: bool) -> None:
+def _mark(known: Bytes, wall: Bytes, arc: float, ahead: float, half: float, stands: bool,
+          under: int) -> None:  # fmt: skip
     for i in range(max(math.ceil(ahead - half / PLACE), 0), min(math.floor(ahead + half / PLACE), PLACES)):
-        known[i] = max(known[i], UNDER)
+        known[i] = max(known[i], under)
     place = math.floor(arc)
     if stands and 0 <= place < PLACES:
         known[place] = CLOSED
@@ -153,10 +174,22 @@ def _mark(known: Bytes, wall: Bytes, arc: float, ahead: float, half: float, stan
 
 @compiled
 def foremost(places: Bytes, known: Bytes, first: int, last: int) -> int:
-    """The foremost place, from `first` to `last`, in which a vehicle may be hidden that can come on; -1: none."""
-    for i in range(last, first - 1, -1):
+    """The foremost place, from `first` to `last`, in which a vehicle may be hidden that can come on; -1: none.
+
+    Who could be hidden only just behind a known vehicle follows it, and is not asked for.
+    """
+    i = last
+    while i >= first:
         if known[i] == CLOSED:
             return -1
-        if places[i] and not known[i]:
-            return i
+        if 0 < places[i] <= PATIENCE and not known[i]:
+            end = i
+            while end >= first and places[end] and not known[end]:
+                end -= 1
+            behind = i + 1 < known.shape[0] and known[i + 1] == LEADS
+            if not behind or i - end > FOLLOWS or end < first:
+                return i
+            i = end
+        else:
+            i -= 1
     return -1

@@ -23,10 +23,13 @@ from cad_env.rules.planner import (
     SLOWEST,
     PlannerConfig,
     Rule,
+    contact_ahead,
     decide,
     known_vehicles,
+    not_on_way,
     oncoming_stretch,
     seconds_for,
+    seconds_to_look,
     stopping_distance,
     way_of,
 )
@@ -36,12 +39,17 @@ from cad_env.world.geometry import ALONG
 
 _REACH, _THROUGH, _HIDDEN, _TIME = (LANE_FEATURES.index(name) for name in ("reach", "through", "hidden", "time"))
 
+NOSE = 0.3  # m into a lane, where the front of the ego is in nobody's way yet
+BRAKES = 1.0  # m/s2, more than any vehicle slows down by that does not brake
+ELSEWHERE, AHEAD, LATE, ON = 0, 1, 2, 3  # where the ego is to a lane
+
 
 class Reserve(NamedTuple):
     """A CoverageConfig as compiled code sees it."""
 
     short: float
     spare: float
+    meeting: float
     watch: float
 
 
@@ -49,18 +57,21 @@ class Reserve(NamedTuple):
 class CoverageConfig:
     """How the ego treats what nobody vouches for."""
 
-    short: float = 1.0  # m before a lane, where it stops to wait
+    short: float = 0.5  # m before a lane, where it stops to wait
     spare: float = 0.3  # s that must be left when it is through
+    meeting: float = 1.0  # s of its travel by which a vehicle that comes towards it is lengthened in front
     watch: float = 60.0  # m of a lane that must be vouched for, if the ego is to stand on it
     rules: PlannerConfig = field(default_factory=PlannerConfig)  # about the vehicles that it knows
 
     def __post_init__(self) -> None:
-        check_numbers(self, "", {"short": (0.0, 10.0), "spare": (0.0, 10.0), "watch": (0.0, 200.0)})
+        check_numbers(
+            self, "", {"short": (0.0, 10.0), "spare": (0.0, 10.0), "meeting": (0.0, 10.0), "watch": (0.0, 200.0)}
+        )
 
     @property
     def reserve(self) -> Reserve:
         """The compiled code's view."""
-        return Reserve(float(self.short), float(self.spare), float(self.watch))
+        return Reserve(float(self.short), float(self.spare), float(self.meeting), float(self.watch))
 
 
 @compiled
@@ -82,14 +93,26 @@ def distance_on(lane: Floats, other: Floats) -> float:
 
 
 @compiled
+def closed_at(lane: Floats, others: Floats) -> float:
+    """m before the conflict of a lane (F,), at which the first of `others` that stands on it is; inf: none does."""
+    nearest = math.inf
+    for k in range(others.shape[0]):
+        dx, dy = others[k, 0] - lane[0], others[k, 1] - lane[1]
+        before, beside = -(dx * lane[2] + dy * lane[3]), dy * lane[2] - dx * lane[3]
+        if others[k, 3] < SLOWEST and abs(beside) < HALF_LANE and 0.0 < before < nearest:
+            nearest = before
+    return nearest
+
+
+@compiled
 def is_quiet(lane: Floats, others: Floats, watch: float) -> bool:
-    """True for a lane (F,) that is vouched for `watch` m, on which none of `others` moves towards the conflict."""
+    """True for a lane (F,) that is vouched for `watch` m, on which none of `others` can come to the conflict."""
     if lane[_HIDDEN] < watch:
         return False
-    moving = 0
+    closed, coming = closed_at(lane, others), 0
     for k in range(others.shape[0]):
-        moving += distance_on(lane, others[k]) < math.inf
-    return moving == 0
+        coming += distance_on(lane, others[k]) < closed
+    return coming == 0
 
 
 @compiled
@@ -104,8 +127,25 @@ def soonest_hidden(lane: Floats, others: Floats) -> float:
 
 
 @compiled
-def must_wait(lanes: LaneView, ego: Floats, others: Floats, reserve: Reserve) -> bool:
-    """True if the ego (4,) must stop now for a lane that it would not be through in time.
+def is_braking(odometry: Floats) -> bool:
+    """Whether the ego slows down, by its poses (T, 3): its brake has been on for the delay of a command."""
+    x, y = odometry[-2, 0], odometry[-2, 1]
+    now, before = math.hypot(x, y), math.hypot(odometry[-3, 0] - x, odometry[-3, 1] - y)
+    return now - before < -BRAKES * STEP * STEP
+
+
+@compiled
+def standing_to(lane: Floats, ego: Floats, brakes: bool) -> int:
+    """Where the ego (4,) is to a lane (F,): AHEAD of it; LATE if it does not brake yet and cannot stop; or ON it."""
+    space = lane[_REACH] + NOSE
+    if space < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING):
+        return ON
+    return LATE if space < stopping_distance(ego[0]) and not brakes else AHEAD
+
+
+@compiled
+def must_wait(lanes: LaneView, ego: Floats, brakes: bool, others: Floats, reserve: Reserve) -> bool:
+    """True if the ego (4,), which `brakes` or not, must stop now for a lane that it would not be through in time.
 
     It does not ask for a lane that it can no longer stop before. It enters one only if it need not stop on it for the
     next one, unless it may stand there, because the lane is quiet.
@@ -115,10 +155,12 @@ def must_wait(lanes: LaneView, ego: Floats, others: Floats, reserve: Reserve) ->
         if lanes.lane_mask[k] == 0:
             break
         lane = lanes.lanes[k]
-        if lane[_REACH] < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING):
+        place = standing_to(lane, ego, brakes)
+        if place == ON:
             continue
         if lane[_REACH] - reserve.short < asked or is_last_chance(lane[_REACH], ego[0], reserve.short):
-            if seconds_for(ego, lane[_THROUGH]) + reserve.spare > soonest_hidden(lane, others):
+            need = seconds_for(ego, lane[_THROUGH])
+            if need + (reserve.spare if place == AHEAD else 0.0) > soonest_hidden(lane, others):
                 return True
             if not is_quiet(lane, others, reserve.watch):
                 asked = max(asked, lane[_THROUGH])
@@ -126,13 +168,64 @@ def must_wait(lanes: LaneView, ego: Floats, others: Floats, reserve: Reserve) ->
 
 
 @compiled
+def lane_of(lanes: LaneView, ego: Floats, brakes: bool, other: Floats) -> int:
+    """Where the ego is to the lane on which a vehicle (6,) drives, as `standing_to`; ELSEWHERE if it is on none."""
+    where = ELSEWHERE
+    for k in range(lanes.lane_mask.shape[0]):
+        lane = lanes.lanes[k]
+        dx, dy = other[0] - lane[0], other[1] - lane[1]
+        along = math.cos(other[2]) * lane[2] + math.sin(other[2]) * lane[3]
+        if lanes.lane_mask[k] and along > ALONG and abs(dy * lane[2] - dx * lane[3]) < HALF_LANE:
+            where = max(where, standing_to(lane, ego, brakes))
+    return where
+
+
+@compiled
+def those_not_behind(others: Floats) -> Floats:
+    """The rows (n, 6) of others, in the ego's frame, but for those behind it that drive as it does: they see it."""
+    kept = np.empty_like(others)
+    n = 0
+    for k in range(others.shape[0]):
+        if others[k, 0] >= 0.0 or math.cos(others[k, 2]) < ALONG:
+            kept[n] = others[k]
+            n += 1
+    return kept[:n]
+
+
+@compiled
+def those_on(lanes: LaneView, ego: Floats, brakes: bool, others: Floats, where: int) -> Floats:
+    """The rows (n, 6) of others of whom `lane_of` says `where`."""
+    kept = np.empty_like(others)
+    n = 0
+    for k in range(others.shape[0]):
+        if lane_of(lanes, ego, brakes, others[k]) == where:
+            kept[n] = others[k]
+            n += 1
+    return kept[:n]
+
+
+@compiled
 def decide_on_lanes(view: View, lanes: LaneView, rule: Rule, reserve: Reserve) -> int:
-    """The decision on an observation with coverage."""
+    """The decision on an observation with coverage.
+
+    Of those who come on a lane that the ego has entered only true contacts count, since to stop there is no way out;
+    before a lane that it has not entered it can always wait.
+    """
     way, ego = way_of(view.route), view.ego.astype(np.float64)
-    others = known_vehicles(view, way)
-    if decide(way, ego, others, oncoming_stretch(view.oncoming, ROUTE_SPACING), rule) == BRAKE:
+    others = those_not_behind(known_vehicles(view, way))
+    stretch, brakes = oncoming_stretch(view.oncoming, ROUTE_SPACING), is_braking(view.odometry)
+    if decide(way, ego, those_on(lanes, ego, brakes, others, ELSEWHERE), stretch, rule) == BRAKE:
         return BRAKE
-    return BRAKE if must_wait(lanes, ego, others, reserve) else GO
+    seconds = seconds_to_look(ego, stretch, rule)
+    longer = rule.ahead if stretch[0] == math.inf else reserve.meeting
+    for where in (AHEAD, LATE, ON):
+        met = not_on_way(way, those_on(lanes, ego, brakes, others, where))
+        ahead, behind = (longer, rule.behind) if where == AHEAD else (0.0, 0.0)
+        if not contact_ahead(way, ego, met, False, seconds, ahead, behind, rule.margin):
+            continue
+        if where != ON or not contact_ahead(way, ego, met, True, seconds, 0.0, 0.0, rule.margin):
+            return BRAKE
+    return BRAKE if must_wait(lanes, ego, brakes, others, reserve) else GO
 
 
 @compiled

@@ -168,14 +168,21 @@ def oncoming_stretch(oncoming: Ints, spacing: float) -> tuple[float, float]:
 
 
 @compiled
+def seconds_to_look(ego: Floats, stretch: tuple[float, float], rule: Rule) -> float:
+    """s for which the way must be free: `clear` m beyond where the ego (4,) could stop, or through an oncoming lane."""
+    seconds = seconds_for(ego, stopping_distance(ego[0]) + rule.clear)
+    if stretch[0] <= stopping_distance(ego[0]) + rule.gate:
+        seconds = max(seconds, seconds_for(ego, stretch[1]))
+    return seconds
+
+
+@compiled
 def decide(way: Floats, ego: Floats, others: Floats, stretch: tuple[float, float], rule: Rule) -> int:
     """GO or BRAKE by the rules of this module; `stretch` as from `oncoming_stretch`, the rest as in `contact_ahead`."""
     others = not_on_way(way, others)
-    seconds, ahead, behind = seconds_for(ego, stopping_distance(ego[0]) + rule.clear), rule.ahead, rule.behind
-    if stretch[0] <= stopping_distance(ego[0]) + rule.gate:
-        seconds = max(seconds, seconds_for(ego, stretch[1]))
-        if stretch[0] < stopping_distance(ego[0]):  # too late to wait: only true contacts count
-            ahead = behind = 0.0
+    seconds, ahead, behind = seconds_to_look(ego, stretch, rule), rule.ahead, rule.behind
+    if stretch[0] < stopping_distance(ego[0]):  # too late to wait: only true contacts count
+        ahead = behind = 0.0
     if not contact_ahead(way, ego, others, False, seconds, ahead, behind, rule.margin):
         return GO
     going = contact_ahead(way, ego, others, False, seconds, 0.0, 0.0, rule.margin)

@@ -14,7 +14,7 @@ from cad_env.checks import ConfigError
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.pipeline.observe_lanes import LaneView, lane_view_at
-from cad_env.rules.coverage_planner import CoverageConfig, Reserve, must_wait
+from cad_env.rules.coverage_planner import CoverageConfig, Reserve, is_braking, must_wait
 from cad_env.rules.expert import decisions, expert_of
 from cad_env.rules.planner import known_vehicles, way_of
 from cad_env.simulation.batch import SceneBatch
@@ -52,4 +52,5 @@ def _wait(views: View, lanes: LaneView, reserve: Reserve, waits: Bools) -> None:
     for k in range(waits.shape[0]):
         view = view_at(views, k)
         others = known_vehicles(view, way_of(view.route))
-        waits[k] = must_wait(lane_view_at(lanes, k), view.ego.astype(np.float64), others, reserve)
+        ego, brakes = view.ego.astype(np.float64), is_braking(view.odometry)
+        waits[k] = must_wait(lane_view_at(lanes, k), ego, brakes, others, reserve)

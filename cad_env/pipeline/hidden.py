@@ -163,7 +163,8 @@ def place_beside(lanes: Lanes, b: int, x: float, y: float, to_x: float, to_y: fl
 @inlined_part
 def _mark(known: Bytes, wall: Bytes, arc: float, ahead: float, half: float, stands: bool,
           under: int) -> None:  # fmt: skip
-    for i in range(max(math.ceil(ahead - half / PLACE), 0), min(math.floor(ahead + half / PLACE), PLACES)):
+    last = math.floor(ahead + half / PLACE) + (under == LEADS)  # whoever is seen late is one place on
+    for i in range(max(math.ceil(ahead - half / PLACE), 0), min(last, PLACES)):
         known[i] = max(known[i], under)
     place = math.floor(arc)
     if stands and 0 <= place < PLACES:

@@ -49,6 +49,7 @@ class Reserve(NamedTuple):
 
     short: float
     spare: float
+    start: float
     meeting: float
     watch: float
 
@@ -59,19 +60,28 @@ class CoverageConfig:
 
     short: float = 0.5  # m before a lane, where it stops to wait
     spare: float = 0.3  # s that must be left when it is through
+    start: float = 0.4  # s more, of both, for who starts from a stand: it is not to stop again on the lane
     meeting: float = 1.0  # s of its travel by which a vehicle that comes towards it is lengthened in front
     watch: float = 60.0  # m of a lane that must be vouched for, if the ego is to stand on it
     rules: PlannerConfig = field(default_factory=PlannerConfig)  # about the vehicles that it knows
 
     def __post_init__(self) -> None:
         check_numbers(
-            self, "", {"short": (0.0, 10.0), "spare": (0.0, 10.0), "meeting": (0.0, 10.0), "watch": (0.0, 200.0)}
+            self,
+            "",
+            {
+                "short": (0.0, 10.0),
+                "spare": (0.0, 10.0),
+                "start": (0.0, 10.0),
+                "meeting": (0.0, 10.0),
+                "watch": (0.0, 200.0),
+            },
         )
 
     @property
     def reserve(self) -> Reserve:
         """The compiled code's view."""
-        return Reserve(float(self.short), float(self.spare), float(self.meeting), float(self.watch))
+        return Reserve(float(self.short), float(self.spare), float(self.start), float(self.meeting), float(self.watch))
 
 
 @compiled
@@ -160,7 +170,8 @@ def must_wait(lanes: LaneView, ego: Floats, brakes: bool, others: Floats, reserv
             continue
         if lane[_REACH] - reserve.short < asked or is_last_chance(lane[_REACH], ego[0], reserve.short):
             need = seconds_for(ego, lane[_THROUGH])
-            if need + (reserve.spare if place == AHEAD else 0.0) > soonest_hidden(lane, others):
+            spare = reserve.spare if place == AHEAD else 0.0
+            if need + spare + reserve.start * (ego[0] < SLOWEST) > soonest_hidden(lane, others):
                 return True
             if not is_quiet(lane, others, reserve.watch):
                 asked = max(asked, lane[_THROUGH])
@@ -218,12 +229,13 @@ def decide_on_lanes(view: View, lanes: LaneView, rule: Rule, reserve: Reserve) -
         return BRAKE
     seconds = seconds_to_look(ego, stretch, rule)
     longer = rule.ahead if stretch[0] == math.inf else reserve.meeting
+    longer += reserve.start * (ego[0] < SLOWEST)
     for where in (AHEAD, LATE, ON):
         met = not_on_way(way, those_on(lanes, ego, brakes, others, where))
         ahead, behind = (longer, rule.behind) if where == AHEAD else (0.0, 0.0)
         if not contact_ahead(way, ego, met, False, seconds, ahead, behind, rule.margin):
             continue
-        if where != ON or not contact_ahead(way, ego, met, True, seconds, 0.0, 0.0, rule.margin):
+        if where != ON or not contact_ahead(way, ego, met, True, seconds, 0.0, 0.0, 0.0):
             return BRAKE
     return BRAKE if must_wait(lanes, ego, brakes, others, reserve) else GO
 

@@ -26,7 +26,7 @@ STANDING_SPEED = 0.5  # m/s of a track of LONG frames or more, below which it is
 LONG = 8  # frames from the oldest node of a track to its newest
 FRESH = 10  # frames, after which a node does not tell where a vehicle is any more
 PATIENCE, MOST = 20, 250  # steps
-FOLLOWS = 6  # places behind a known vehicle, in which whoever is hidden moves as it does
+FOLLOWS = 4  # places behind a known vehicle, in which whoever is hidden moves as it does
 UNDER, LEADS, CLOSED = 1, 2, 3  # in `known`: nobody else can be there; it moves along the lane; nobody comes through
 
 
@@ -163,7 +163,7 @@ def place_beside(lanes: Lanes, b: int, x: float, y: float, to_x: float, to_y: fl
 @inlined_part
 def _mark(known: Bytes, wall: Bytes, arc: float, ahead: float, half: float, stands: bool,
           under: int) -> None:  # fmt: skip
-    last = math.floor(ahead + half / PLACE) + (under == LEADS)  # whoever is seen late is one place on
+    last = math.floor(ahead + half / PLACE) + 1  # it may be seen late, or be longer
     for i in range(max(math.ceil(ahead - half / PLACE), 0), min(last, PLACES)):
         known[i] = max(known[i], under)
     place = math.floor(arc)

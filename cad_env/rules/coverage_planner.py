@@ -39,7 +39,7 @@ from cad_env.world.geometry import ALONG
 
 _REACH, _THROUGH, _HIDDEN, _TIME = (LANE_FEATURES.index(name) for name in ("reach", "through", "hidden", "time"))
 
-NOSE = 0.3  # m into a lane, where the front of the ego is in nobody's way yet
+NOSE, STANDING_NOSE = 0.3, 0.9  # m into a lane, where the front of who drives on, and of who waits, is in nobody's way
 BRAKES = 1.0  # m/s2, more than any vehicle slows down by that does not brake
 ELSEWHERE, AHEAD, LATE, ON = 0, 1, 2, 3  # where the ego is to a lane
 
@@ -60,7 +60,7 @@ class CoverageConfig:
 
     short: float = 0.5  # m before a lane, where it stops to wait
     spare: float = 0.3  # s that must be left when it is through
-    start: float = 0.4  # s more, of both, for who starts from a stand: it is not to stop again on the lane
+    start: float = 0.4  # s more, of both, for who brakes or stands: it is not to stop again on the lane
     meeting: float = 1.0  # s of its travel by which a vehicle that comes towards it is lengthened in front
     watch: float = 60.0  # m of a lane that must be vouched for, if the ego is to stand on it
     rules: PlannerConfig = field(default_factory=PlannerConfig)  # about the vehicles that it knows
@@ -145,12 +145,18 @@ def is_braking(odometry: Floats) -> bool:
 
 
 @compiled
-def standing_to(lane: Floats, ego: Floats, brakes: bool) -> int:
-    """Where the ego (4,) is to a lane (F,): AHEAD of it; LATE if it does not brake yet and cannot stop; or ON it."""
-    space = lane[_REACH] + NOSE
-    if space < ego[0] * ego[0] / (2.0 * COMMANDED_BRAKING):
+def standing_to(lane: Floats, ego: Floats, brakes: bool, short: float) -> int:
+    """Where the ego (4,), which `brakes` or not, is to a lane (F,).
+
+    AHEAD: it can still choose; LATE: it chose to go a step ago, and can no longer stop `short` m before; or ON it.
+    """
+    speed, reach = ego[0], lane[_REACH]
+    nose = STANDING_NOSE if brakes or speed < SLOWEST else NOSE
+    if reach + nose < speed * speed / (2.0 * COMMANDED_BRAKING):
         return ON
-    return LATE if space < stopping_distance(ego[0]) and not brakes else AHEAD
+    if brakes or not is_last_chance(reach + speed * STEP, speed - MAX_ACCELERATION * STEP, short):
+        return AHEAD
+    return LATE
 
 
 @compiled
@@ -165,13 +171,13 @@ def must_wait(lanes: LaneView, ego: Floats, brakes: bool, others: Floats, reserv
         if lanes.lane_mask[k] == 0:
             break
         lane = lanes.lanes[k]
-        place = standing_to(lane, ego, brakes)
+        place = standing_to(lane, ego, brakes, reserve.short)
         if place == ON:
             continue
         if lane[_REACH] - reserve.short < asked or is_last_chance(lane[_REACH], ego[0], reserve.short):
             need = seconds_for(ego, lane[_THROUGH])
             spare = reserve.spare if place == AHEAD else 0.0
-            if need + spare + reserve.start * (ego[0] < SLOWEST) > soonest_hidden(lane, others):
+            if need + spare + reserve.start * (brakes or ego[0] < SLOWEST) > soonest_hidden(lane, others):
                 return True
             if not is_quiet(lane, others, reserve.watch):
                 asked = max(asked, lane[_THROUGH])
@@ -179,7 +185,7 @@ def must_wait(lanes: LaneView, ego: Floats, brakes: bool, others: Floats, reserv
 
 
 @compiled
-def lane_of(lanes: LaneView, ego: Floats, brakes: bool, other: Floats) -> int:
+def lane_of(lanes: LaneView, ego: Floats, brakes: bool, short: float, other: Floats) -> int:
     """Where the ego is to the lane on which a vehicle (6,) drives, as `standing_to`; ELSEWHERE if it is on none."""
     where = ELSEWHERE
     for k in range(lanes.lane_mask.shape[0]):
@@ -187,7 +193,7 @@ def lane_of(lanes: LaneView, ego: Floats, brakes: bool, other: Floats) -> int:
         dx, dy = other[0] - lane[0], other[1] - lane[1]
         along = math.cos(other[2]) * lane[2] + math.sin(other[2]) * lane[3]
         if lanes.lane_mask[k] and along > ALONG and abs(dy * lane[2] - dx * lane[3]) < HALF_LANE:
-            where = max(where, standing_to(lane, ego, brakes))
+            where = max(where, standing_to(lane, ego, brakes, short))
     return where
 
 
@@ -204,12 +210,12 @@ def those_not_behind(others: Floats) -> Floats:
 
 
 @compiled
-def those_on(lanes: LaneView, ego: Floats, brakes: bool, others: Floats, where: int) -> Floats:
+def those_on(lanes: LaneView, ego: Floats, brakes: bool, short: float, others: Floats, where: int) -> Floats:
     """The rows (n, 6) of others of whom `lane_of` says `where`."""
     kept = np.empty_like(others)
     n = 0
     for k in range(others.shape[0]):
-        if lane_of(lanes, ego, brakes, others[k]) == where:
+        if lane_of(lanes, ego, brakes, short, others[k]) == where:
             kept[n] = others[k]
             n += 1
     return kept[:n]
@@ -225,13 +231,13 @@ def decide_on_lanes(view: View, lanes: LaneView, rule: Rule, reserve: Reserve) -
     way, ego = way_of(view.route), view.ego.astype(np.float64)
     others = those_not_behind(known_vehicles(view, way))
     stretch, brakes = oncoming_stretch(view.oncoming, ROUTE_SPACING), is_braking(view.odometry)
-    if decide(way, ego, those_on(lanes, ego, brakes, others, ELSEWHERE), stretch, rule) == BRAKE:
+    if decide(way, ego, those_on(lanes, ego, brakes, reserve.short, others, ELSEWHERE), stretch, rule) == BRAKE:
         return BRAKE
     seconds = seconds_to_look(ego, stretch, rule)
     longer = rule.ahead if stretch[0] == math.inf else reserve.meeting
-    longer += reserve.start * (ego[0] < SLOWEST)
+    longer += reserve.start * (brakes or ego[0] < SLOWEST)
     for where in (AHEAD, LATE, ON):
-        met = not_on_way(way, those_on(lanes, ego, brakes, others, where))
+        met = not_on_way(way, those_on(lanes, ego, brakes, reserve.short, others, where))
         ahead, behind = (longer, rule.behind) if where == AHEAD else (0.0, 0.0)
         if not contact_ahead(way, ego, met, False, seconds, ahead, behind, rule.margin):
             continue

@@ -49,7 +49,6 @@ class Reserve(NamedTuple):
 
     short: float
     spare: float
-    start: float
     meeting: float
     watch: float
 
@@ -60,7 +59,6 @@ class CoverageConfig:
 
     short: float = 0.5  # m before a lane, where it stops to wait
     spare: float = 0.3  # s that must be left when it is through
-    start: float = 0.4  # s more, of both, for who brakes or stands: it is not to stop again on the lane
     meeting: float = 1.0  # s of its travel by which a vehicle that comes towards it is lengthened in front
     watch: float = 60.0  # m of a lane that must be vouched for, if the ego is to stand on it
     rules: PlannerConfig = field(default_factory=PlannerConfig)  # about the vehicles that it knows
@@ -72,7 +70,6 @@ class CoverageConfig:
             {
                 "short": (0.0, 10.0),
                 "spare": (0.0, 10.0),
-                "start": (0.0, 10.0),
                 "meeting": (0.0, 10.0),
                 "watch": (0.0, 200.0),
             },
@@ -81,7 +78,7 @@ class CoverageConfig:
     @property
     def reserve(self) -> Reserve:
         """The compiled code's view."""
-        return Reserve(float(self.short), float(self.spare), float(self.start), float(self.meeting), float(self.watch))
+        return Reserve(float(self.short), float(self.spare), float(self.meeting), float(self.watch))
 
 
 @compiled
@@ -154,7 +151,7 @@ def standing_to(lane: Floats, ego: Floats, brakes: bool, short: float) -> int:
     nose = STANDING_NOSE if brakes or speed < SLOWEST else NOSE
     if reach + nose < speed * speed / (2.0 * COMMANDED_BRAKING):
         return ON
-    if brakes or not is_last_chance(reach + speed * STEP, speed - MAX_ACCELERATION * STEP, short):
+    if brakes or speed < SLOWEST or not is_last_chance(reach + speed * STEP, speed - MAX_ACCELERATION * STEP, short):
         return AHEAD
     return LATE
 
@@ -177,7 +174,7 @@ def must_wait(lanes: LaneView, ego: Floats, brakes: bool, others: Floats, reserv
         if lane[_REACH] - reserve.short < asked or is_last_chance(lane[_REACH], ego[0], reserve.short):
             need = seconds_for(ego, lane[_THROUGH])
             spare = reserve.spare if place == AHEAD else 0.0
-            if need + spare + reserve.start * (brakes or ego[0] < SLOWEST) > soonest_hidden(lane, others):
+            if need + spare > soonest_hidden(lane, others):
                 return True
             if not is_quiet(lane, others, reserve.watch):
                 asked = max(asked, lane[_THROUGH])
@@ -235,7 +232,6 @@ def decide_on_lanes(view: View, lanes: LaneView, rule: Rule, reserve: Reserve) -
         return BRAKE
     seconds = seconds_to_look(ego, stretch, rule)
     longer = rule.ahead if stretch[0] == math.inf else reserve.meeting
-    longer += reserve.start * (brakes or ego[0] < SLOWEST)
     for where in (AHEAD, LATE, ON):
         met = not_on_way(way, those_on(lanes, ego, brakes, reserve.short, others, where))
         ahead, behind = (longer, rule.behind) if where == AHEAD else (0.0, 0.0)

@@ -50,11 +50,11 @@ def test_without_lanes_it_goes():
 
 
 def test_it_waits_at_the_lane_for_what_could_be_there_before_it_is_through():
-    assert decided(lane(0.9, 10.0, 30.0, 1.5)) == BRAKE
-    assert decided(lane(0.9, 10.0, FAR, 10.0)) == GO
+    assert decided(lane(0.4, 9.5, 30.0, 1.5)) == BRAKE
+    assert decided(lane(0.4, 9.5, FAR, 10.0)) == GO
     # 10 m from a standstill at 2 m/s2 take 3.2 s.
-    assert [decided(lane(0.9, 10.0, 70.0, time), spare=0.0) for time in (3.0, 3.5)] == [BRAKE, GO]
-    assert [decided(lane(0.9, 10.0, 70.0, 3.5), spare=spare) for spare in (0.0, 1.0)] == [GO, BRAKE]
+    assert [decided(lane(0.4, 9.5, 70.0, time), spare=0.0) for time in (3.0, 3.5)] == [BRAKE, GO]
+    assert [decided(lane(0.4, 9.5, 70.0, 3.5), spare=spare) for spare in (0.0, 1.0)] == [GO, BRAKE]
 
 
 def test_it_drives_on_while_it_can_still_stop_before_the_lane():
@@ -67,18 +67,18 @@ def test_it_leaves_a_lane_that_it_is_on():
 
 
 def test_it_enters_no_lane_on_which_it_would_have_to_wait_for_the_next():
-    busy, hidden = lane(0.9, 10.0, 50.0, 5.0), lane(7.0, 16.0, 5.0, 0.2)
+    busy, hidden = lane(0.4, 9.5, 50.0, 5.0), lane(7.0, 16.0, 5.0, 0.2)
     assert decided(busy) == GO
     assert decided(busy, hidden) == BRAKE
-    quiet = lane(0.9, 10.0, 75.0, 5.0)  # what comes there is seen long before
+    quiet = lane(0.4, 9.5, 75.0, 5.0)  # what comes there is seen long before
     assert decided(quiet, hidden) == GO
     assert decided(quiet, hidden, coming=80.0) == BRAKE
-    assert decided(lane(-3.0, 6.0, 5.0, 0.2), lane(0.9, 10.0, 5.0, 0.2)) == BRAKE
+    assert decided(lane(-3.0, 6.0, 5.0, 0.2), lane(0.4, 9.5, 5.0, 0.2)) == BRAKE
 
 
 def test_who_is_hidden_behind_a_known_vehicle_comes_after_it():
     # At 12 m/s the known one is there in 5 s, and so is whoever follows it: enough to be through.
-    behind = lane(0.9, 10.0, 65.0, 3.0)
+    behind = lane(0.4, 9.5, 65.0, 3.0)
     assert decided(behind) == BRAKE
     assert decided(behind, coming=60.0) == GO
 

@@ -76,7 +76,7 @@ _LEARNED = (
     LearnedMethod("stgraph-motion-own", config=MOTION, shares="nothing"),
     LearnedMethod(  # a departure: it is also told of the lanes that its way meets, and of where nobody has looked
         "stgraph-coverage", config={**MOTION, "coverage": True},
-        training={"conditions": MIXTURE, "teacher": "coverage", "batch": 150},
+        training={"conditions": MIXTURE, "batch": 150, "thresholds": (0.5, 0.35, 0.2, 0.1)},
     ),
     LearnedMethod("command-only", "command", shares="nothing"),
     LearnedMethod("gat", config={"temporal": False}, shares="nothing"),  # [GAT, NT-NS]

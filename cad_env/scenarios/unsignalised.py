@@ -78,12 +78,12 @@ class UnsignalisedRanges(StreamRanges):
 
     ego_speed: Range = span(7.5, 9.0, within=(3.0, 15.0))  # m/s that the ego and its peers want to drive at
     ego_start: Range = span(34.0, 46.0, within=(15.0, 150.0))  # m before its line
-    apart: Range = span(-0.8, 0.8, within=(-10.0, 10.0))  # s after the ego that a peer would be at its line
-    empty_share: float = share(0.3)  # of episodes in which a fourth one comes in place of the stream
+    apart: Range = span(-1.5, 0.5, within=(-10.0, 10.0))  # s after the ego that a peer would be at its line
+    empty_share: float = share(0.2)  # of episodes in which a fourth one comes in place of the stream
     stream_speed: Range = span(9.0, 12.0, within=(6.0, 13.0))  # m/s
-    platoon: tuple[int, int] = count(1, 2, within=(1, 30))  # vehicles that come close behind each other
+    platoon: tuple[int, int] = count(1, 3, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.2, 1.6, within=(1.1, 10.0))  # s from one to the next
-    platoon_gap: Range = span(7.5, 11.0, within=(1.0, 60.0))  # s from a platoon to the next
+    platoon_gap: Range = span(8.0, 11.5, within=(1.0, 60.0))  # s from a platoon to the next
     van_length: Range = span(5.2, 6.8, within=(4.0, 8.0))  # m
     van_front: Range = span(10.0, 11.5, within=(9.5, 20.0))  # m from the centre to the end of a van that is nearer to it
 
@@ -176,7 +176,7 @@ def _behind(junction: Map, rng: np.random.Generator, arm: str, last: Placement, 
     place, cars = last.progress, []
     for _ in range(3):
         way = _way(rng, arm, closed)
-        place -= rng.uniform(15.0, 25.0)
+        place -= rng.uniform(25.0, 35.0)
         speed = _PACE[way] * last.target_speed
         route = junction.route(f"{arm}_{way}")
         cars.append(Placement(route, place, min(speed, last.speed), speed, YIELDING, **car_body(rng)))

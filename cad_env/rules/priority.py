@@ -21,15 +21,25 @@ import numpy as np
 from cad_env.checks import check_numbers
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.observe import View, view_at, view_of
-from cad_env.rules.planner import box_on_way, contact_ahead, known_vehicles, not_on_way, seconds_for, way_of
-from cad_env.rules.planner import stopping_distance as stopping
+from cad_env.rules.planner import (
+    SLOWEST,
+    box_on_way,
+    contact_ahead,
+    known_vehicles,
+    not_on_way,
+    seconds_for,
+    stopping_distance,
+    way_of,
+)
 from cad_env.types import BRAKE, GO, ROUTE_SPACING, Floats, Ints, Observation
 from cad_env.world.dynamics import wrapped
+from cad_env.world.geometry import boxes_touch
 from cad_env.world.state import OFF, Routes, Truth, World
 
 SQUARE = 0.25 * math.pi  # rad around a right angle, within which another comes from the side
 WAY = 80.0  # m of its way that the ego looks at
 STEP_ON_WAY = 0.5  # m
+CLOSE = 0.3  # m by which the ego is longer and wider where it passes who stands
 
 
 class PriorityRule(NamedTuple):
@@ -51,9 +61,9 @@ class PriorityConfig:
     """How careful the rules are."""
 
     clear: float = 26.0  # m beyond its stopping distance, up to which the ego looks for conflicts: over the junction
-    hold: float = 8.0  # m before a conflict, where the ego waits for whoever goes first
-    reserve: float = 1.5  # m before a conflict, where it waits for whoever does not stop though the ego goes first
-    trusted: float = 2.0  # m/s2, up to which others are taken to brake for the ego
+    hold: float = 12.0  # m before a conflict, where the ego waits for whoever goes first
+    reserve: float = 4.0  # m before a conflict, where it waits for whoever does not stop though the ego goes first
+    trusted: float = 1.5  # m/s2, up to which others are taken to brake for the ego
     slow: float = 3.0  # m/s, below which a vehicle hardly moves
     nearer: float = 0.5  # m by which one of two that hardly move must be nearer to go first
     ahead: float = 0.5  # s of its travel by which a vehicle is lengthened in front ...
@@ -98,7 +108,7 @@ def has_priority(way: Floats, other: Floats) -> bool:
     heading = box_on_way(way, 0.0)[2]
     turn = wrapped(other[2] - heading)
     if abs(turn) > math.pi - SQUARE:
-        return bool(wrapped(box_on_way(way, WAY)[2] - heading) > SQUARE)
+        return turns_left(way)
     return bool(turn > -SQUARE)
 
 
@@ -108,7 +118,7 @@ def must_brake_for(way: Floats, ego: Floats, other: Floats, rule: PriorityRule) 
     own, theirs = meeting_of(way, ego, other, rule.margin)
     if own == math.inf:
         return own > 0.0
-    room, needed = own - stopping(ego[0]), 0.5 * other[3] ** 2 / max(theirs, 0.1)
+    room, needed = own - stopping_distance(ego[0]), 0.5 * other[3] ** 2 / max(theirs, 0.1)
     first = has_priority(way, other)
     if ego[0] < rule.slow and other[3] < rule.slow and abs(own - theirs) > rule.nearer:
         first = theirs < own
@@ -120,25 +130,88 @@ def must_brake_for(way: Floats, ego: Floats, other: Floats, rule: PriorityRule) 
 @compiled
 def decide_by_priority(way: Floats, ego: Floats, others: Floats, rule: PriorityRule) -> int:
     """GO or BRAKE by the rules of this module; way, ego and others (n, 6) as in `planner.contact_ahead`."""
+    if is_blocked(way, ego, others, rule):
+        return BRAKE
     others = not_on_way(way, others)
-    seconds = seconds_for(ego, stopping(ego[0]) + rule.clear)
+    if brakes_on(way, ego, others, False, rule):
+        return BRAKE
+    if turns_left(way) and brakes_on(straight_on(way), ego, others, True, rule):
+        return BRAKE
+    return GO
+
+
+@compiled
+def is_blocked(way: Floats, ego: Floats, others: Floats, rule: PriorityRule) -> bool:
+    """True if a vehicle that stands is in the ego's way, no farther than it takes to stop."""
+    reach = stopping_distance(ego[0]) + rule.reserve
+    for k in range(others.shape[0]):
+        if others[k, 3] < SLOWEST and not _touches(way, ego, others[k], 0.0) and _touches(way, ego, others[k], reach):
+            return True
+    return False
+
+
+@compiled
+def _touches(way: Floats, ego: Floats, other: Floats, reach: float) -> bool:
+    """True if the ego would touch a vehicle (6,) as it stands now on its next metres."""
+    for step in range(int(reach / STEP_ON_WAY) + 1):
+        x, y, heading = box_on_way(way, step * STEP_ON_WAY)
+        if boxes_touch(
+            x, y, heading, ego[2] + CLOSE, ego[3] + CLOSE, other[0], other[1], other[2], other[4], other[5]
+        ):  # fmt: skip
+            return True
+    return False
+
+
+@compiled
+def brakes_on(way: Floats, ego: Floats, others: Floats, only_right: bool, rule: PriorityRule) -> bool:
+    """True if the ego has to brake for anybody, or for anybody from its right, if it drives along a way."""
+    seconds = seconds_for(ego, stopping_distance(ego[0]) + rule.clear)
     for k in range(others.shape[0]):
         one = others[k : k + 1]
+        if only_right and not is_from_right(way, others[k]):
+            continue
         if not contact_ahead(way, ego, one, False, seconds, rule.ahead, rule.behind, rule.margin):
             continue
         if must_brake_for(way, ego, others[k], rule):
             going = contact_ahead(way, ego, one, False, seconds, 0.0, 0.0, rule.margin)
             halting = contact_ahead(way, ego, one, True, seconds, 0.0, 0.0, rule.margin)
             if going or not halting:
-                return BRAKE
-    return GO
+                return True
+    return False
+
+
+@compiled
+def is_from_right(way: Floats, other: Floats) -> bool:
+    """True if a vehicle (6,) comes from the ego's right."""
+    return bool(abs(wrapped(other[2] - box_on_way(way, 0.0)[2]) - 0.5 * math.pi) < SQUARE)
+
+
+@compiled
+def turns_left(way: Floats) -> bool:
+    """True if a way turns left."""
+    return bool(wrapped(box_on_way(way, WAY)[2] - box_on_way(way, 0.0)[2]) > SQUARE)
+
+
+@compiled
+def straight_on(way: Floats) -> Floats:
+    """(P, 2) m, straight on from the beginning of a way: where whoever comes from the right may expect the ego."""
+    x, y, heading = box_on_way(way, 0.0)
+    straight = np.empty_like(way)
+    for p in range(way.shape[0]):
+        straight[p, 0] = x + p * ROUTE_SPACING * math.cos(heading)
+        straight[p, 1] = y + p * ROUTE_SPACING * math.sin(heading)
+    return straight
 
 
 @compiled
 def priority_on_view(view: View, rule: PriorityRule) -> int:
     """The decision on an observation."""
     way = way_of(view.route)
-    return decide_by_priority(way, view.ego.astype(np.float64), known_vehicles(view, way), rule)
+    others = known_vehicles(view, way)
+    for k in range(others.shape[0]):
+        if others[k, 3] < SLOWEST:
+            others[k, 4] = others[k, 5]  # a track that stands does not tell where it heads
+    return decide_by_priority(way, view.ego.astype(np.float64), others, rule)
 
 
 @compiled

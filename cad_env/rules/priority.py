@@ -23,6 +23,7 @@ from cad_env.numerics.jit import compiled
 from cad_env.pipeline.observe import View, view_at, view_of
 from cad_env.rules.planner import (
     SLOWEST,
+    TRUCK_SIZE,
     box_on_way,
     contact_ahead,
     known_vehicles,
@@ -39,6 +40,7 @@ from cad_env.world.state import OFF, Routes, Truth, World
 SQUARE = 0.25 * math.pi  # rad around a right angle, within which another comes from the side
 WAY = 80.0  # m of its way that the ego looks at
 STEP_ON_WAY = 0.5  # m
+CAR_CORE = 3.4  # m of a car that stands, which are taken up whatever it heads to
 CLOSE = 0.3  # m by which the ego is longer and wider where it passes who stands
 
 
@@ -47,6 +49,7 @@ class PriorityRule(NamedTuple):
 
     clear: float
     hold: float
+    inside: float
     reserve: float
     trusted: float
     slow: float
@@ -62,6 +65,7 @@ class PriorityConfig:
 
     clear: float = 26.0  # m beyond its stopping distance, up to which the ego looks for conflicts: over the junction
     hold: float = 12.0  # m before a conflict, where the ego waits for whoever goes first
+    inside: float = 5.0  # m before a conflict, from where on it waits only if it would touch somebody else
     reserve: float = 4.0  # m before a conflict, where it waits for whoever does not stop though the ego goes first
     trusted: float = 1.5  # m/s2, up to which others are taken to brake for the ego
     slow: float = 3.0  # m/s, below which a vehicle hardly moves
@@ -72,8 +76,8 @@ class PriorityConfig:
 
     def __post_init__(self) -> None:
         limits = {
-            "clear": (0.0, 60.0), "hold": (0.0, 30.0), "reserve": (0.0, 30.0), "trusted": (0.0, 10.0),
-            "slow": (0.0, 20.0), "nearer": (0.0, 20.0), "ahead": (0.0, 10.0), "behind": (0.0, 10.0),
+            "clear": (0.0, 60.0), "hold": (0.0, 30.0), "inside": (0.0, 30.0), "reserve": (0.0, 30.0),
+            "trusted": (0.0, 10.0), "slow": (0.0, 20.0), "nearer": (0.0, 20.0), "ahead": (0.0, 10.0), "behind": (0.0, 10.0),
             "margin": (0.0, 5.0),
         }  # fmt: skip
         check_numbers(self, "", limits)
@@ -170,7 +174,10 @@ def brakes_on(way: Floats, ego: Floats, others: Floats, only_right: bool, rule: 
         one = others[k : k + 1]
         if only_right and not is_from_right(way, others[k]):
             continue
-        if not contact_ahead(way, ego, one, False, seconds, rule.ahead, rule.behind, rule.margin):
+        ahead, behind = rule.ahead, rule.behind
+        if meeting_of(way, ego, others[k], rule.margin)[0] < rule.inside:
+            ahead = behind = 0.0  # to stop there would leave the ego in others' way: only true contacts count
+        if not contact_ahead(way, ego, one, False, seconds, ahead, behind, rule.margin):
             continue
         if must_brake_for(way, ego, others[k], rule):
             going = contact_ahead(way, ego, one, False, seconds, 0.0, 0.0, rule.margin)
@@ -210,7 +217,8 @@ def priority_on_view(view: View, rule: PriorityRule) -> int:
     others = known_vehicles(view, way)
     for k in range(others.shape[0]):
         if others[k, 3] < SLOWEST:
-            others[k, 4] = others[k, 5]  # a track that stands does not tell where it heads
+            others[k, 2] = 0.0  # a track that stands does not tell where it heads
+            others[k, 4] = others[k, 5] = TRUCK_SIZE[1] if others[k, 4] == TRUCK_SIZE[0] else CAR_CORE
     return decide_by_priority(way, view.ego.astype(np.float64), others, rule)
 
 

@@ -24,7 +24,7 @@ _HALF = 0.5 * LANE
 LEFT_RADIUS, RIGHT_RADIUS = STOP + _HALF, STOP - _HALF  # m
 _COMMAND = {"left": Command.TURN_LEFT, "through": Command.GO_STRAIGHT, "right": Command.TURN_RIGHT}
 _EXIT = {"left": -1, "through": 2, "right": 1}  # where a turn leads, counted in ARMS from where it comes from
-_PACE = {"left": 0.9, "through": 1.0, "right": 0.75}  # of the speed that it wants: at most 5.8 m/s2 sideways
+_PACE = {"left": 0.7, "through": 1.0, "right": 0.55}  # of the speed that it wants: at most 6.6 m/s2 sideways
 
 
 def small_junction_network() -> RoadNetwork:
@@ -76,16 +76,16 @@ def _plan(arm: str, way: str) -> RoutePlan:
 class UnsignalisedRanges(StreamRanges):
     """Every range the actors are drawn from; docs/scenarios.md says where each comes from."""
 
-    ego_speed: Range = span(7.5, 9.0, within=(3.0, 15.0))  # m/s that the ego and its peers want to drive at
-    ego_start: Range = span(34.0, 46.0, within=(15.0, 150.0))  # m before its line
+    ego_speed: Range = span(10.0, 12.0, within=(3.0, 15.0))  # m/s that the ego and its peers want to drive at
+    ego_start: Range = span(48.0, 62.0, within=(15.0, 150.0))  # m before its line
     apart: Range = span(-1.5, 0.5, within=(-10.0, 10.0))  # s after the ego that a peer would be at its line
     empty_share: float = share(0.2)  # of episodes in which a fourth one comes in place of the stream
-    stream_speed: Range = span(9.0, 12.0, within=(6.0, 13.0))  # m/s
+    stream_speed: Range = span(10.0, 13.0, within=(6.0, 13.0))  # m/s
     platoon: tuple[int, int] = count(1, 3, within=(1, 30))  # vehicles that come close behind each other
     headway: Range = span(1.2, 1.6, within=(1.1, 10.0))  # s from one to the next
     platoon_gap: Range = span(8.0, 11.5, within=(1.0, 60.0))  # s from a platoon to the next
-    van_length: Range = span(5.2, 6.8, within=(4.0, 8.0))  # m
-    van_front: Range = span(10.0, 11.5, within=(9.5, 20.0))  # m from the centre to the end of a van that is nearer to it
+    van_length: Range = span(9.0, 13.0, within=(4.0, 18.0))  # m, of vans and lorries alike
+    van_front: Range = span(10.0, 11.5, within=(9.5, 20.0))  # m from the centre to the nearer end of a van
 
 
 def actors(junction: Map, ranges: UnsignalisedRanges, rng: np.random.Generator) -> Actors:
@@ -146,12 +146,10 @@ def _following(
     return Placement(route, place, min(speed, leader.speed), speed, YIELDING, **car_body(rng))
 
 
-def _van(
-    junction: Map, ranges: UnsignalisedRanges, rng: np.random.Generator, arm: str, beyond: bool
-) -> Placement:
+def _van(junction: Map, ranges: UnsignalisedRanges, rng: np.random.Generator, arm: str, beyond: bool) -> Placement:
     """A van parked at the kerb of an arm, on the right of whoever comes in by it or, `beyond`, on the left."""
-    length, width = rng.uniform(*ranges.van_length), rng.uniform(1.9, 2.2)
-    away, offset = rng.uniform(*ranges.van_front) + 0.5 * length, -(_HALF + rng.uniform(0.2, 0.5) + 0.5 * width)
+    length, width = rng.uniform(*ranges.van_length), rng.uniform(2.2, 2.5)
+    away, offset = rng.uniform(*ranges.van_front) + 0.5 * length, -(_HALF + rng.uniform(0.15, 0.35) + 0.5 * width)
     route = junction.route(f"{exit_of(arm, 'through') if beyond else arm}_through")
     return Placement(
         route, FAR + away if beyond else FAR - away, 0.0, 5.0, STANDING, TRUCK, length, width, offset

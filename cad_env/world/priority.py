@@ -35,7 +35,9 @@ def is_committed(world: World, routes: Routes, i: int) -> bool:
 @compiled
 def waits_at_line(world: World, routes: Routes, i: int) -> bool:
     """True if vehicle i stands at its line."""
-    return bool(world.speed[i] < STANDS and 0.0 <= distance_to_line(world, routes, i) < AT_LINE and world.driver[i] != STANDING)
+    return bool(
+        world.speed[i] < STANDS and 0.0 <= distance_to_line(world, routes, i) < AT_LINE and world.driver[i] != STANDING
+    )
 
 
 @compiled

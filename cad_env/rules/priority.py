@@ -77,8 +77,8 @@ class PriorityConfig:
     def __post_init__(self) -> None:
         limits = {
             "clear": (0.0, 60.0), "hold": (0.0, 30.0), "inside": (0.0, 30.0), "reserve": (0.0, 30.0),
-            "trusted": (0.0, 10.0), "slow": (0.0, 20.0), "nearer": (0.0, 20.0), "ahead": (0.0, 10.0), "behind": (0.0, 10.0),
-            "margin": (0.0, 5.0),
+            "trusted": (0.0, 10.0), "slow": (0.0, 20.0), "nearer": (0.0, 20.0), "ahead": (0.0, 10.0),
+            "behind": (0.0, 10.0), "margin": (0.0, 5.0),
         }  # fmt: skip
         check_numbers(self, "", limits)
 

@@ -139,7 +139,7 @@ def test_an_installed_one_is_imported_when_it_is_asked_for(monkeypatch: pytest.M
     installed(monkeypatch, "own_turn")
     with pytest.raises(ValueError, match="choose among left_turn, overtaking, street_crossing, unsignalised, own_turn"):
         scenario_named("right_turn")
-    assert tuple(SCENARIOS) == SHIPPED
+    assert tuple(SCENARIOS) == registry.PACKAGED
     assert scenario_named("own_turn").gym_id == "CADOwnTurn-v0"
     assert registered() == ("test_registry:OWN",)
 
@@ -170,7 +170,7 @@ def test_an_installed_package_has_its_id_without_being_imported(tmp_path: Path):
 
 
 def test_a_digest_of_its_source_marks_results_of_one_from_outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    assert all(outside_sources(name) == {} for name in SHIPPED)
+    assert all(outside_sources(name) == {} for name in registry.PACKAGED)
     found = []
     for number, actors in enumerate(("actors", "actors", "lambda *given: actors(*given)")):
         source = (

@@ -20,7 +20,7 @@ import numpy as np
 
 from cad_env.checks import check_numbers
 from cad_env.numerics.jit import compiled
-from cad_env.pipeline.observe import View, view_at, view_of
+from cad_env.pipeline.observe import View, view_of
 from cad_env.rules.planner import (
     SLOWEST,
     TRUCK_SIZE,
@@ -32,7 +32,7 @@ from cad_env.rules.planner import (
     stopping_distance,
     way_of,
 )
-from cad_env.types import BRAKE, GO, ROUTE_SPACING, Floats, Ints, Observation
+from cad_env.types import BRAKE, GO, ROUTE_SPACING, Floats, Observation
 from cad_env.world.dynamics import wrapped
 from cad_env.world.geometry import boxes_touch
 from cad_env.world.state import OFF, Routes, Truth, World
@@ -120,8 +120,8 @@ def has_priority(way: Floats, other: Floats) -> bool:
 def must_brake_for(way: Floats, ego: Floats, other: Floats, rule: PriorityRule) -> bool:
     """True if the ego has to brake now for a vehicle (6,) that it would touch if it went on."""
     own, theirs = meeting_of(way, ego, other, rule.margin)
-    if own == math.inf:
-        return own > 0.0
+    if own == math.inf:  # it is there already
+        return True
     room, needed = own - stopping_distance(ego[0]), 0.5 * other[3] ** 2 / max(theirs, 0.1)
     first = has_priority(way, other)
     if ego[0] < rule.slow and other[3] < rule.slow and abs(own - theirs) > rule.nearer:
@@ -220,13 +220,6 @@ def priority_on_view(view: View, rule: PriorityRule) -> int:
             others[k, 2] = 0.0  # a track that stands does not tell where it heads
             others[k, 4] = others[k, 5] = TRUCK_SIZE[1] if others[k, 4] == TRUCK_SIZE[0] else CAR_CORE
     return decide_by_priority(way, view.ego.astype(np.float64), others, rule)
-
-
-@compiled
-def priority_on_views(views: View, rule: PriorityRule, chosen: Ints) -> None:
-    """Write the decisions on observations, stacked along a first axis, to chosen (n,)."""
-    for k in range(chosen.shape[0]):
-        chosen[k] = priority_on_view(view_at(views, k), rule)
 
 
 @compiled

@@ -48,7 +48,7 @@ def test_of_two_that_hardly_move_the_nearer_one_goes():
 
 
 def test_it_brakes_for_who_stands_in_its_way():
-    own = Placement(MAP.route("south_through"), LINE - 4.0, 5.0, 8.0)
+    own = Placement(MAP.route("south_through"), LINE + 1.0, 5.0, 8.0)
     for away, action in ((-9.0, BRAKE), (10.0, GO)):
         other = Placement(MAP.route("east_through"), LINE - away, 0.0, 8.0, STANDING)
         assert EXPERT.act(Truth(place([own, other], MAP.routes), MAP.routes, 0)) == action

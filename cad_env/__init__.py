@@ -94,6 +94,7 @@ _IDS = {
     "CADLeftTurn-v0": "left_turn",
     "CADOvertaking-v0": "overtaking",
     "CADStreetCrossing-v0": "street_crossing",
+    "CADUnsignalised-v0": "unsignalised",
     **{_id_of(entry.name): entry.name for entry in entry_points(group="cad_env.scenarios")},
 }
 for _id, _scenario in _IDS.items():

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from cad_env.checks import check_whole
+from cad_env.checks import check_range, check_switch, check_whole
 from cad_env.envs.global_state import global_state, global_state_space
 from cad_env.envs.goals import goals
 from cad_env.envs.highway_vehicles import WorldRoad
@@ -48,12 +48,16 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
     """Agents `cav_0` (the ego), `cav_1`, ...: each connected vehicle with its own observation, go or brake, and reward.
 
     An agent that has arrived, crashed or run out of time leaves `agents`; its body stays in the scene and drives on.
-    An agent that can only wait (at a red light, in a queue, parked; `info["waits"]`) stays until nobody else is left,
-    and then leaves unharmed, with the outcome `waited` and no reward. `outcomes` has the outcome of each that has left.
+    A connected vehicle that can only wait (at a red light, in a queue, parked) sees and tells, but is no agent: its
+    number is missing among the names. With `waiting=True` it is one (`info["waits"]`); it then stays until nobody else
+    is left, and leaves unharmed, with the outcome `waited` and no reward. `outcomes` has the outcome of each that has
+    left.
     Whoever leaves is terminated. When time is up all that are left are truncated, those that only waited too, and
     terminated beside it only if they arrive or crash in this very step.
 
-    Keyword arguments as for CADEnv, and `max_cycles`, decisions until time is up. There are three collaborators
+    Keyword arguments as for CADEnv, `max_cycles`, decisions until time is up, `waiting`, and `team`, from 0, everybody
+    is paid for its own steps, to 1, everybody is paid the same: in each step the sum of all that the agents of the
+    scene would be paid for their own, shared out among all that there were at the start. There are three collaborators
     unless `ranges` or `penetration` say otherwise. Every value in an `info` is a number, as TorchRL wants it;
     it keeps them as float32, which rounds a `seed` from 2**24 on: infos of `FixedAgents` have it in two numbers.
 
@@ -62,7 +66,7 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
     >>> while env.agents:
     ...     observations, rewards, terminations, truncations, infos = env.step(dict.fromkeys(env.agents, 0))
     >>> env.outcomes
-    {'cav_2': 'success', 'cav_0': 'success', 'cav_1': 'waited', 'cav_3': 'waited'}
+    {'cav_2': 'success', 'cav_0': 'success'}
     """
 
     metadata = {"name": "cad_v0", "render_modes": list(RENDER_MODES), "render_fps": 10, "is_parallelizable": True}  # noqa: RUF012
@@ -72,6 +76,8 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         self._reward = reward_named(options.pop("reward", "progress"))
         self.layers = checked_layers(options.pop("layers", tuple(LAYERS)))
         max_cycles = check_whole("max_cycles", max_cycles, 1)
+        self._team = check_range("team", options.pop("team", 0.0), 0.0, 1.0)
+        self._waiting = check_switch("waiting", options.pop("waiting", False))
         if options.get("cloud") is not None:
             raise ValueError(f"cloud is for one ego (CADEnv, CADVectorEnv) only, got {options['cloud']!r}")
         ranges = options.pop("ranges", {})
@@ -114,9 +120,11 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
         self.simulation.start(int(self.np_random.integers(2**31)) if seed is None else seed, options["hazard"])
         simulation = self.simulation
         world, rows = simulation.world, simulation.agents
-        self.agents, self.outcomes = self.possible_agents[: len(rows)], {}
         self._goal, waits = goals(world, simulation.map.routes, rows, simulation.scene.goal)
-        self._waits = waits.tolist()
+        self._waits, self.outcomes = waits.tolist(), {}
+        names = zip(self.possible_agents, self._waits, strict=False)
+        self.agents = [agent for agent, waits in names if self._waiting or not waits]
+        self._agents_at_start = len(self.agents)
         self._start = self._progress = world.progress[rows]
         self._way = np.maximum(self._goal - self._start, 1.0)
         self._min_ttc = np.full(len(rows), np.inf)
@@ -194,7 +202,14 @@ class CADParallelEnv(CopiedWhole, ParallelEnv[str, Observation, int]):
                 hazard=simulation.scene.hazard, min_ttc=float(self._min_ttc[k]), bytes_sent=int(report.sent_bytes[k]),
             )  # fmt: skip
             earned[agent] = float(self._reward(step))
-        return earned
+        return self._shared_out(earned)
+
+    def _shared_out(self, earned: dict[str, float]) -> dict[str, float]:
+        """What everybody is paid, if a share of it is the team's."""
+        if self._team == 0.0:
+            return earned
+        everybody = self._team * sum(earned.values()) / self._agents_at_start
+        return {agent: (1.0 - self._team) * own + everybody for agent, own in earned.items()}
 
     def _note_contacts(self) -> None:
         """Keep the least time to contact of every agent, s, for rewards from outside: the usual one does not ask."""

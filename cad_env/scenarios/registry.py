@@ -16,15 +16,18 @@ from cad_env.scenarios.left_turn import LEFT_TURN
 from cad_env.scenarios.overtaking import OVERTAKING
 from cad_env.scenarios.scenario import Scenario
 from cad_env.scenarios.street_crossing import STREET_CROSSING
+from cad_env.scenarios.unsignalised import UNSIGNALISED
 from cad_env.types import COMMANDS, MAX_STEPS
 from cad_env.version import PACKAGE, code_digest
 
 GROUP = "cad_env.scenarios"  # entry points of installed packages: a scenario each, under its own name
 ENVIRONMENT, VECTOR = "cad_env.envs.single:CADEnv", "cad_env.envs.vector:CADVectorEnv"
 
-_known: dict[str, Scenario] = {scenario.name: scenario for scenario in (LEFT_TURN, OVERTAKING, STREET_CROSSING)}
+_STORIES = (LEFT_TURN, OVERTAKING, STREET_CROSSING)
+_known: dict[str, Scenario] = {scenario.name: scenario for scenario in (*_STORIES, UNSIGNALISED)}
 _found_at: dict[str, str] = {}  # name -> module:attribute, where a scenario came by such a reference
-SHIPPED = tuple(_known)  # names: what "all" scenarios are
+SHIPPED = tuple(scenario.name for scenario in _STORIES)  # what "all" scenarios are: those in which one ego decides
+PACKAGED = tuple(_known)  # names of all that need no registration
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(_known)  # live: the shipped ones, then as they were registered
 
 
@@ -98,15 +101,15 @@ def commands_of(names: Iterable[str]) -> int:
 
 def registered() -> tuple[str | Scenario, ...]:
     """What another process must hand to `scenario_named` to know all that is known here."""
-    return tuple(_found_at.get(name, scenario) for name, scenario in _known.items() if name not in SHIPPED)
+    return tuple(_found_at.get(name, scenario) for name, scenario in _known.items() if name not in PACKAGED)
 
 
 def outside_sources(name: str) -> dict[str, str]:
     """What results of a scenario are marked with beside the version of cad_env: a digest of its package's code.
 
-    Nothing for a shipped one, whose code that version covers.
+    Nothing for one of this package, whose code that version covers.
     """
-    if name in SHIPPED:
+    if name in PACKAGED:
         return {}
     return {f"source of {name}": _source_of(scenario_named(name))}
 

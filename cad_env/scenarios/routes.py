@@ -25,6 +25,7 @@ class RoutePlan:
     lanes: tuple[tuple[str, str, int], ...]
     commands: tuple[Command | int, ...]  # one a lane; numbers beyond Command are further ones of the scenario
     oncoming: tuple[float, float] | None = None  # m along it, from where to where a car's body is in an oncoming lane
+    line: float = math.inf  # m along it, where whoever gives way waits; inf: nobody ever does
 
 
 def sample_routes(network: RoadNetwork, plans: Sequence[RoutePlan]) -> Routes:
@@ -47,7 +48,9 @@ def sample_routes(network: RoadNetwork, plans: Sequence[RoutePlan]) -> Routes:
         arc = np.arange(samples) * SPACING
         oncoming[r] = (first <= arc) & (arc <= last)
     projection = _projections(point, heading)
-    return Routes(SPACING, length, point, heading, command, oncoming, projection)
+    nowhere, line = np.full((len(plans), len(plans), 4), np.nan), np.array([plan.line for plan in plans])
+    nobody = np.zeros((len(plans), len(plans)), np.int8)
+    return Routes(SPACING, length, point, heading, command, oncoming, projection, line, nowhere, nobody)
 
 
 def _sample(network: RoadNetwork, plan: RoutePlan) -> tuple[Floats, Floats, Floats]:

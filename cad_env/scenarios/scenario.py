@@ -11,6 +11,7 @@ from highway_env.road.road import RoadNetwork
 from cad_env.config import check_names
 from cad_env.numerics.philox import generator
 from cad_env.scenarios.lanes import lanes_of
+from cad_env.scenarios.priority import with_priority
 from cad_env.scenarios.ranges import DENSITIES, Traffic
 from cad_env.scenarios.routes import RoutePlan, crossing_of, sample_routes
 from cad_env.scenarios.scene import OCCLUDER, Actors, Placement, Scene, connected_rows, place, rows_at_penetration
@@ -186,7 +187,7 @@ def _check_commands(scenario: Scenario) -> None:
 @cache
 def _build_map(scenario: Scenario) -> Map:
     network = scenario.network()
-    return Map(network, sample_routes(network, scenario.plans), scenario.plans)
+    return Map(network, with_priority(sample_routes(network, scenario.plans)), scenario.plans)
 
 
 def _taken(groups: Groups, count: int, rng: np.random.Generator) -> list[Placement]:

@@ -45,6 +45,7 @@ class Actors:
     witnesses: tuple[int, ...]  # rows that see what the occluder hides; one of them is always connected
     goal: float  # m along the ego's route, where it has arrived
     hidden: tuple[int, ...]  # rows of the hidden stream, which may be empty; never connected
+    peers: tuple[int, ...] = ()  # rows that have to agree with the ego who goes first; connected before anybody else
 
 
 @dataclass(frozen=True)
@@ -65,13 +66,13 @@ class Scene:
 def connected_rows(
     placements: Sequence[Placement], actors: Actors, collaborators: tuple[int, int], rng: np.random.Generator
 ) -> tuple[int, ...]:
-    """The ego, a witness and others, as many as `collaborators` says.
+    """The ego, its peers, a witness and others, as many as `collaborators` says.
 
     The hidden stream is never connected: it would give itself away.
     """
     witness, never = int(rng.choice(np.array(actors.witnesses))), {EGO, *actors.hidden}
     order = [witness, *(row for row in rng.permutation(len(placements)).tolist() if row not in never | {witness})]
-    useful = [row for row in order if not placements[row].bystander]
+    useful = sorted((row for row in order if not placements[row].bystander), key=lambda row: row not in actors.peers)
     wanted = int(rng.integers(*collaborators, endpoint=True))
     return (EGO, *sorted(useful[:wanted]))
 

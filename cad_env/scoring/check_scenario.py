@@ -129,14 +129,14 @@ def _watched(seeds: range, options: dict[str, Any]) -> list[Verdict]:
     simulation = Simulation(setup_from(options))
     for seed in seeds:
         rng = np.random.default_rng(seed)
-        simulation.start(seed)
+        simulation.start(seed, receivers=1)
         touched = False
         while simulation.outcome() is None:
             touched = touched or bool(crashed(simulation.world)[EGO + 1 :].any())
             _step(simulation, int(rng.random() < 0.5))
         # Whoever touched the ego ends the episode, so a contact seen before that was one without it.
         contacts += touched
-        simulation.start(seed)
+        simulation.start(seed, receivers=1)
         if simulation.scene.hazard:
             hazards += 1
             told += _is_told(simulation)

@@ -15,6 +15,9 @@ from cad_env.scoring.scorecard import KINDS
 from cad_env.scoring.table import percent, text_table
 from cad_env.types import BRAKE, STEP, Ints, Observation, Policy
 
+DEADLOCK = 8.0  # s for which all agents that drive must stand; in a stream no gap is that far away
+_STANDS = 0.3  # m/s
+
 
 @dataclass(frozen=True)
 class AgentEpisode:
@@ -48,6 +51,7 @@ class FleetEpisode:
     seed: int
     hazard: bool
     agents: tuple[AgentEpisode, ...]
+    deadlock: float = math.inf  # s after the start, from when at least two have stood and waited for each other
 
     @property
     def collisions(self) -> int:
@@ -77,6 +81,8 @@ def rollout_fleet(
     policies: one for all agents, or agent name -> Policy, with one for every agent of the scene. A policy that several
     agents share must keep no memory of what it saw; it decides for all of them at once if it can (`act_batch`). Every
     policy is reset once, with the seed of the episode. Privileged ones are given `env.truth(agent)`.
+
+    The episode is a deadlock if at least two agents that drive are left and all of them stand for DEADLOCK seconds.
     """
     seed = check_seed("seed", seed)
     observations, infos = env.reset(seed=seed, options={"hazard": hazard})
@@ -84,6 +90,7 @@ def rollout_fleet(
     for policy in {id(policy): policy for policy in drivers.values()}.values():
         policy.reset(seed)
     records = {agent: _Record(info["waits"]) for agent, info in infos.items()}
+    standing, deadlock = 0, math.inf  # decisions; s
     while env.agents:
         actions = _decisions(env, drivers, observations)
         if watch is not None:
@@ -91,9 +98,18 @@ def rollout_fleet(
         observations, _, _, _, infos = env.step(actions)
         for agent, info in infos.items():
             records[agent].add(actions[agent], info)
+        standing = standing + 1 if _all_stand([infos[agent] for agent in env.agents]) else 0
+        if standing * STEP >= DEADLOCK:
+            deadlock = min(deadlock, (env.simulation.steps - standing) * STEP)
     agents = tuple(records[agent].episode(agent, env.outcomes[agent]) for agent in records)
     simulation = env.simulation
-    return FleetEpisode(simulation.scenario.name, method, seed, simulation.scene.hazard, agents)
+    return FleetEpisode(simulation.scenario.name, method, seed, simulation.scene.hazard, agents, deadlock)
+
+
+def _all_stand(infos: Sequence[Mapping[str, Any]]) -> bool:
+    """True if at least two agents are left that drive, and all of them stand."""
+    speeds = [info["speed"] for info in infos if not info["waits"]]
+    return len(speeds) > 1 and max(speeds) < _STANDS
 
 
 def _drivers(policies: Any, agents: list[str], possible: list[str]) -> dict[str, Policy]:
@@ -159,6 +175,7 @@ class FleetScore:
     collisions: Share  # of all agents; effective sample size
     successes: Share  # of the agents that do not wait; effective sample size
     timeouts: Share  # of the agents that do not wait; effective sample size
+    deadlocks: Share  # of the episodes; Wilson's interval
     waits: int  # agents that could only wait
     mean_time_success: float | None  # s, over the agents that arrived
     needless_brakes: Share | None  # of agents that do not wait, those that braked at all; only where there is no hazard
@@ -199,6 +216,7 @@ def fleet_score(kind: str, episodes: Sequence[FleetEpisode]) -> FleetScore:
         share_of(crashed, len(episodes)),
         clustered([episode.collisions for episode in episodes], [len(agents) for agents in everyone]),
         clustered(drivers_with("success"), sizes), clustered(drivers_with("timeout"), sizes),
+        share_of(sum(episode.deadlock < math.inf for episode in episodes), len(episodes)),
         len(flat) - sum(sizes), math.fsum(arrived) / len(arrived) if arrived else None,
         clustered(braked, sizes) if kind == "no" else None,
         sum(agent.bytes_sent for agent in flat) / math.fsum(agent.time for agent in flat),
@@ -206,13 +224,14 @@ def fleet_score(kind: str, episodes: Sequence[FleetEpisode]) -> FleetScore:
 
 
 _TITLES = ("scenario", "method", "hazard", "episodes", "any collision % [95 %]", "agents", "collided % [95 %]",
-           "drive", "arrived % [95 %]", "late %", "time s", "needless brakes %", "bytes/s")  # fmt: skip
+           "drive", "arrived % [95 %]", "late %", "deadlock %", "time s", "needless brakes %", "bytes/s")  # fmt: skip
 
 
 def fleet_table(rows: Sequence[FleetScore]) -> str:
     """The rows as text: rates in per cent with their interval, a dash where there is nothing to say.
 
-    "any collision" counts episodes, "collided" agents, "arrived" and "late" the agents that drive.
+    "any collision" counts episodes, "collided" agents, "arrived" and "late" the agents that drive, "deadlock"
+    episodes.
     """
     return text_table(_TITLES, [_cells(row) for row in rows])
 
@@ -221,7 +240,8 @@ def _cells(row: FleetScore) -> tuple[str, ...]:
     return (
         row.scenario, row.method, row.hazard, str(row.episodes), _percent(row.crashed_episodes),
         str(row.collisions.of), _percent(row.collisions), str(row.successes.of), _percent(row.successes),
-        f"{100 * row.timeouts.rate:.1f}", "-" if row.mean_time_success is None else f"{row.mean_time_success:.1f}",
+        f"{100 * row.timeouts.rate:.1f}", f"{100 * row.deadlocks.rate:.1f}",
+        "-" if row.mean_time_success is None else f"{row.mean_time_success:.1f}",
         _percent(row.needless_brakes), f"{row.bytes_per_second:.0f}",
     )  # fmt: skip
 

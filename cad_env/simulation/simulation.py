@@ -40,7 +40,7 @@ from cad_env.simulation.scene_step import (
 from cad_env.simulation.setup import Setup
 from cad_env.types import COLLISION, STEP, SUCCESS, Floats, Graph, Ints, Observation
 from cad_env.world.lanes import empty_lanes
-from cad_env.world.state import Truth, World, indices_on_map
+from cad_env.world.state import IDM, YIELDING, Truth, World, indices_on_map
 
 FINAL_REWARD: Mapping[str | None, float] = MappingProxyType(dict(zip(OUTCOME_BY_CODE, FINAL_REWARDS, strict=True)))
 # What an episode has, and a simulation before its first one has not.
@@ -83,6 +83,8 @@ class Simulation(CopiedWhole):
         self.world: World = place(self.scene.placements, self.map.routes)
         self.agents: Ints = np.array(self.scene.connected, np.int64)
         vehicles, count = len(self.world.speed), len(self.agents) if receivers is None else receivers
+        deciding = self.agents[:count]  # nobody decides for them as well
+        self.world.driver[deciding[self.world.driver[deciding] == YIELDING]] = IDM
         commands = self.scenario.command_count
         views = self._batch_state.views_at(self._place) if count == 1 else empty_view(count, commands=commands)
         self.fleet: Fleet = new_fleet(

@@ -6,13 +6,16 @@ runs along the own one, so that a truck is seen as long as it is.
 
 A STREAM driver follows who drives on its own route. For anybody else in its way, who crosses it, merges into it or
 comes towards it, it brakes by the same model only if it is attentive, and only after its reaction time.
+
+A YIELDING driver is an IDM driver that stops at the line of its route while it has to give way there.
 """
 
 import math
 
 from cad_env.numerics.jit import compiled, inlined
 from cad_env.types import BRAKE
-from cad_env.world.state import OFF, SCRIPTED, STANDING, STREAM, Routes, World
+from cad_env.world.priority import BEFORE_LINE, distance_to_line, gives_way
+from cad_env.world.state import OFF, SCRIPTED, STANDING, STREAM, YIELDING, Routes, World
 
 MAX_ACCELERATION = 2.0  # m/s2, comfortable start of a car
 COMFORTABLE_BRAKING = 3.0  # m/s2
@@ -93,6 +96,10 @@ def acceleration_of(world: World, routes: Routes, i: int, dt: float) -> float:
     to_line = world.stop_at[i] - world.progress[i] - 0.5 * world.size[i, 0]
     if to_line < LOOK_AHEAD:
         acceleration = min(acceleration, _acceleration_to_line(world, i, to_line))
+    if world.driver[i] == YIELDING and gives_way(world, routes, i):
+        # It stands a little before its line: at the line itself nobody could tell whether it goes on.
+        ahead = distance_to_line(world, routes, i) - BEFORE_LINE
+        acceleration = min(acceleration, idm_acceleration(speed, target, ahead + MIN_GAP, 0.0))
     if world.attention[i] < math.inf:
         gap, other_speed = gap_to_intruder(world, i)
         world.noticed[i] = world.noticed[i] + dt if gap < math.inf else 0.0

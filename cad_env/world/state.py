@@ -9,7 +9,8 @@ from cad_env.types import Bools, Floats, Ints
 
 # Who drives a row. A connected vehicle is an IDM driver whose GO/BRAKE command comes from outside (`command`).
 # SCRIPTED keeps its speed whatever comes; STREAM too, however near the vehicle before it is, unless that one is slower.
-OFF, STANDING, SCRIPTED, IDM, STREAM = 0, 1, 2, 3, 4
+# YIELDING is an IDM driver that gives way at its line, where the map has one (see `world.priority`).
+OFF, STANDING, SCRIPTED, IDM, STREAM, YIELDING = 0, 1, 2, 3, 4, 5
 
 # An actuation delay of two decisions (0.2 s): a brake does not bite in the frame that asks for it.
 COMMAND_DELAY = 2
@@ -29,6 +30,9 @@ class Routes(NamedTuple):
     command: Ints  # (R, P) int8 Command
     oncoming: Ints  # (R, P) int8 1 where a car that follows the route is in a lane of oncoming traffic
     projection: Floats  # (R, R, P, 2) m
+    line: Floats  # (R,) m along it, where whoever gives way waits; inf where nobody ever does
+    meets: Floats  # (R, R, 4) m: from where to where a has b in its way, then b a, each along its own; NaN: nowhere
+    yields: Ints  # (R, R) int8 1 where whoever is on a lets pass who is on b
 
 
 class World(NamedTuple):
@@ -40,7 +44,7 @@ class World(NamedTuple):
     acceleration: Floats  # (N,) m/s2, what was applied last
     size: Floats  # (N, 2) m length, width
     kind: Ints  # (N,) int8 CAR or TRUCK
-    driver: Ints  # (N,) int8 OFF, STANDING, SCRIPTED, IDM or STREAM
+    driver: Ints  # (N,) int8 OFF, STANDING, SCRIPTED, IDM, STREAM or YIELDING
     route: Ints  # (N,) int64
     progress: Floats  # (N,) m along the route
     target_speed: Floats  # (N,) m/s
@@ -57,7 +61,8 @@ def empty_routes() -> Routes:
     samples = (0, 0)
     return Routes(
         0.0, np.zeros(0), np.zeros((*samples, 2)), np.zeros(samples), np.zeros(samples, np.int8),
-        np.zeros(samples, np.int8), np.zeros((0, *samples, 2)),
+        np.zeros(samples, np.int8), np.zeros((0, *samples, 2)), np.zeros(0), np.zeros((*samples, 4)),
+        np.zeros(samples, np.int8),
     )  # fmt: skip
 
 

@@ -101,6 +101,8 @@ CALLS: list[tuple[Call, type[Exception], str]] = [
     (lambda: CADEnv(ranges={"collaborators": True}), ValueError, "collaborators must be a pair (from, to) within"),
     (lambda: CADEnv(ranges={"collaborators": (3.0, 4)}), ValueError, "collaborators must be a pair of whole numbers, "),
     (lambda: parallel_env(max_cycles=5.0), ValueError, "max_cycles must be a whole number from 1 on, got 5.0"),
+    (lambda: parallel_env(team=1.5), ValueError, "team must be a number from 0 to 1, got 1.5"),
+    (lambda: parallel_env(waiting="no"), ValueError, "waiting must be True or False, got 'no'"),
     (lambda: parallel_env(ranges=[]), ValueError, "ranges must be a dict of the scenario's ranges, got []"),
     (lambda: CADVectorEnv(True), ValueError, "num_envs must be a whole number from 1 on, got True"),
     (lambda: CADVectorEnv(copy="x"), ValueError, "copy must be True or False, got 'x'"),

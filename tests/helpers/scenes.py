@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import gymnasium as gym
@@ -10,6 +10,7 @@ import numpy as np
 from highway_env.road.lane import StraightLane
 from highway_env.road.road import RoadNetwork
 
+from cad_env.envs.parallel import parallel_env
 from cad_env.envs.single import CADEnv
 from cad_env.scenarios import registry
 from cad_env.scenarios.routes import RoutePlan, sample_routes
@@ -20,6 +21,8 @@ from cad_env.simulation.simulation import Simulation
 from cad_env.types import BRAKE, CAR, GO, MAX_STEPS, Command
 from cad_env.world.state import STANDING, Routes, World, empty_world
 from cad_env.world.step import advance
+
+everybody = partial(parallel_env, waiting=True)  # the multi-agent environment, in which who can only wait is an agent
 
 # Routes of `cross()`: along +x and back on the same line, along +x one lane to the left, and across at x = 0.
 EAST, WEST, BESIDE, NORTH = range(4)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import Twitchy
+from scenes import Twitchy, everybody
 
 from cad_env.envs.fixed_agents import FixedAgents
 from cad_env.envs.parallel import CADParallelEnv, parallel_env
@@ -28,7 +28,7 @@ def drive(env: CADParallelEnv, seed: int, count: int = MAX_STEPS, action=None) -
 
 
 def test_agents_are_the_connected_vehicles_and_the_ego_is_the_first():
-    env = parallel_env(ranges={"collaborators": (2, 4)})
+    env = everybody(ranges={"collaborators": (2, 4)})
     for seed in range(10):
         observations, infos = env.reset(seed=seed)
         assert env.agents == [f"cav_{k}" for k in range(len(env.simulation.scene.connected))]
@@ -38,11 +38,11 @@ def test_agents_are_the_connected_vehicles_and_the_ego_is_the_first():
 
 
 def test_unless_asked_otherwise_there_are_four_agents_in_every_scene():
-    env = parallel_env()
+    env = everybody()
     for seed in range(10):
         env.reset(seed=seed)
         assert env.agents == env.possible_agents == ["cav_0", "cav_1", "cav_2", "cav_3"]
-    assert len(parallel_env(ranges={"collaborators": (2, 4)}).possible_agents) == 5
+    assert len(everybody(ranges={"collaborators": (2, 4)}).possible_agents) == 5
 
 
 def same(a, b) -> bool:
@@ -55,7 +55,7 @@ def same(a, b) -> bool:
 
 def test_the_ego_sees_what_it_sees_in_the_single_agent_environment():
     # As long as the others go, both are the same episode.
-    single, many = CADEnv(ranges={"collaborators": (3, 3)}), parallel_env()
+    single, many = CADEnv(ranges={"collaborators": (3, 3)}), everybody()
     observation, _ = single.reset(seed=6)
     observations, _ = many.reset(seed=6)
     policy, ended = Twitchy(), False
@@ -73,7 +73,7 @@ def test_the_ego_sees_what_it_sees_in_the_single_agent_environment():
 
 
 def test_everybody_decides_for_itself():
-    env = parallel_env()
+    env = everybody()
     env.reset(seed=0)
     moving = [k for k in range(len(env.agents)) if env.simulation.world.speed[env.simulation.agents[k]] > 3.0]
     assert 0 in moving
@@ -85,7 +85,7 @@ def test_everybody_decides_for_itself():
 
 
 def test_a_finished_agent_leaves_and_does_not_come_back():
-    env = parallel_env()
+    env = everybody()
     for seed in range(6):
         history = drive(env, seed, action=GO)
         alive = set(history[0][0])
@@ -99,7 +99,7 @@ def test_a_finished_agent_leaves_and_does_not_come_back():
 
 
 def test_an_info_says_how_it_ended_in_numbers():
-    env = parallel_env()
+    env = everybody()
     seen = set()
     for seed in range(20):
         *_, (_, rewards, terminations, truncations, infos) = drive(env, seed, action=GO)
@@ -133,7 +133,7 @@ def waiting(env: CADParallelEnv) -> list[str]:
 
 @pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
 def test_who_waits_is_who_stands_when_time_is_up_and_all_others_arrive(scenario: Scenario):
-    env, told = parallel_env(scenario.gym_id, traffic="dense", penetration=0.5), set()
+    env, told = everybody(scenario.gym_id, traffic="dense", penetration=0.5), set()
     for seed in range(15):
         _, infos = env.reset(seed=seed, options={"hazard": False})
         simulation, goal = env.simulation, env._goal
@@ -150,7 +150,7 @@ def test_who_waits_is_who_stands_when_time_is_up_and_all_others_arrive(scenario:
 
 
 def test_an_agent_at_a_red_light_waits_for_the_others_to_be_done_and_is_paid_nothing():
-    env = parallel_env()
+    env = everybody()
     standing = all_others_wait(env)
     assert standing == ["cav_1", "cav_2", "cav_3"]
     while env.agents:
@@ -164,7 +164,7 @@ def test_an_agent_at_a_red_light_waits_for_the_others_to_be_done_and_is_paid_not
 
 
 def test_when_time_is_up_all_that_are_left_are_truncated_those_that_only_waited_too():
-    env = parallel_env(max_cycles=40)
+    env = everybody(max_cycles=40)
     all_others_wait(env)
     history = drive(env, env.simulation.seed, action=BRAKE)
     _, rewards, terminations, truncations, _ = history[-1]
@@ -184,7 +184,7 @@ def rllib_goes_on(terminations: dict[str, bool], truncations: dict[str, bool]) -
 @pytest.mark.parametrize("scenario", SCENARIOS.values(), ids=SCENARIOS)
 @pytest.mark.parametrize(("action", "cycles"), [(BRAKE, MAX_STEPS), (GO, MAX_STEPS), (GO, 60)])
 def test_rllib_s_wrapper_sees_the_end_when_it_comes(scenario: Scenario, wrapped, action: int, cycles: int):
-    env = wrapped(parallel_env(scenario.gym_id, max_cycles=cycles))
+    env = wrapped(everybody(scenario.gym_id, max_cycles=cycles))
     for seed in range(7000000, 7000003):
         env.reset(seed=seed)
         while env.agents:
@@ -200,10 +200,10 @@ def test_who_crashes_in_the_last_step_of_all_is_terminated_and_truncated_with_th
     seed, crash = next(
         (seed, k)
         for seed in range(20)
-        for k, step in enumerate(drive(parallel_env(), seed, action=GO)[1:], 1)
+        for k, step in enumerate(drive(everybody(), seed, action=GO)[1:], 1)
         if "cav_0" in step[4] and step[4]["cav_0"]["crashed"]
     )
-    env = parallel_env(max_cycles=crash)
+    env = everybody(max_cycles=crash)
     *_, terminations, truncations, infos = drive(env, seed, action=GO)[-1]
     assert truncations == dict.fromkeys(infos, True)
     assert len(infos) > 1
@@ -211,8 +211,38 @@ def test_who_crashes_in_the_last_step_of_all_is_terminated_and_truncated_with_th
     assert terminations["cav_0"] is True
 
 
+def test_who_can_only_wait_is_no_agent_unless_asked_for():
+    everyone, drivers = everybody(), parallel_env()
+    standing = all_others_wait(everyone)
+    asked = {"seed": everyone.simulation.seed, "options": {"hazard": False}}
+    observations, infos = everyone.reset(**asked)
+    fewer, fewer_infos = drivers.reset(**asked)
+    assert drivers.agents == ["cav_0"] == [agent for agent in everyone.agents if agent not in standing]
+    while drivers.agents:
+        assert same(fewer["cav_0"], observations["cav_0"])  # those that wait see and tell as before
+        assert same(fewer_infos["cav_0"], infos["cav_0"])
+        observations, rewards, _, _, infos = everyone.step(dict.fromkeys(everyone.agents, GO))
+        fewer, fewer_rewards, _, _, fewer_infos = drivers.step({"cav_0": GO})
+        assert fewer_rewards == {"cav_0": rewards["cav_0"]}
+    assert drivers.outcomes == {"cav_0": "success"}
+
+
+@pytest.mark.parametrize("team", [0.5, 1.0])
+def test_the_team_s_share_of_a_reward_is_the_same_for_all(team: float):
+    alone, together = (parallel_env("CADUnsignalised-v0", traffic="none", team=part) for part in (0.0, team))
+    count = len(alone.reset(seed=1)[0])
+    assert count == 4
+    together.reset(seed=1)
+    while alone.agents:
+        actions = dict.fromkeys(alone.agents, GO)
+        own, shared = alone.step(actions)[1], together.step(actions)[1]
+        expected = {agent: (1 - team) * value + team * sum(own.values()) / count for agent, value in own.items()}
+        assert shared == pytest.approx(expected)
+    assert "collision" in alone.outcomes.values()
+
+
 def test_a_waiting_agent_that_is_hit_has_crashed():
-    env = parallel_env()
+    env = everybody()
     all_others_wait(env)
     world, row = env.simulation.world, env.simulation.agents[2]
     world.position[row] = world.position[0]  # somebody is put on top of it
@@ -224,14 +254,14 @@ def test_a_waiting_agent_that_is_hit_has_crashed():
 
 
 def test_time_is_up_after_max_cycles():
-    env = parallel_env(max_cycles=7)
+    env = everybody(max_cycles=7)
     history = drive(env, 0, action=BRAKE)
     assert len(history) == 8
     assert history[-1][3]["cav_0"] is True
 
 
 def test_the_share_of_the_way_adds_up_to_one_for_whoever_arrives():
-    env, arrived = parallel_env(), 0
+    env, arrived = everybody(), 0
     for seed in range(12):
         history = drive(env, seed, action=GO)
         for agent, outcome in env.outcomes.items():
@@ -243,7 +273,7 @@ def test_the_share_of_the_way_adds_up_to_one_for_whoever_arrives():
 
 
 def test_who_has_left_drives_on():
-    env = parallel_env()
+    env = everybody()
     for seed in range(20):  # until somebody leaves who has more road before it while another is under way
         env.reset(seed=seed)
         while len(env.agents) == 4:
@@ -259,7 +289,7 @@ def test_who_has_left_drives_on():
 
 
 def test_every_agent_can_ask_the_expert():
-    env = parallel_env()
+    env = everybody()
     for seed in range(1_000_000, 1_000_003):
         env.reset(seed=seed, options={"hazard": True})
         while env.agents:

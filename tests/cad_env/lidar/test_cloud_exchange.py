@@ -16,7 +16,7 @@ from cad_env.lidar.config import CloudConfig
 from cad_env.lidar.envelope import ENVELOPE_SIZE
 from cad_env.lidar.points import RawPoints
 from cad_env.pipeline.radio import LOST, NOT_SENT, REACHES
-from cad_env.scenarios import SCENARIOS
+from cad_env.scenarios import SHIPPED
 from cad_env.scoring.rollout import rollout, rollouts
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import GO
@@ -26,7 +26,7 @@ from tests.laws.test_laws_seed import facts
 from tests.laws.test_laws_world import hidden_rows, two_worlds
 
 CLOUD = {"azimuths": 128, "beams": 4, "merged": 200}
-EVERYWHERE = pytest.mark.parametrize("scenario", list(SCENARIOS))
+EVERYWHERE = pytest.mark.parametrize("scenario", list(SHIPPED))
 EXACT = {"noise": 0.0, "miss": 0.0}
 
 
@@ -180,10 +180,10 @@ def test_episodes_count_the_bytes_of_the_points():
 
 def test_law_9_a_vector_is_as_single_environments_and_rollouts_as_a_rollout():
     options = {"cloud": CloudConfig(**CLOUD), "radio": RadioConfig(rate=1e9, delay=0.1), "traffic": "dense"}
-    vector = CADVectorEnv(8, scenario=list(SCENARIOS), **options)
+    vector = CADVectorEnv(8, scenario=list(SHIPPED), **options)
     history = list(driven(vector, 12, 50))
     for place in range(8):
-        env = CADEnv(scenario=list(SCENARIOS)[place % 3], **options)
+        env = CADEnv(scenario=list(SHIPPED)[place % 3], **options)
         seen, info = env.reset(seed=50 + place)
         for step, together in enumerate(history):
             assert seen.keys() == together[0].keys()

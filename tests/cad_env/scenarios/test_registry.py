@@ -64,9 +64,9 @@ def test_a_scenario_is_an_argument_of_every_environment():
 
 
 def test_registering_makes_it_known_after_the_shipped_ones():
-    assert tuple(SCENARIOS) == SHIPPED
+    assert tuple(SCENARIOS) == registry.PACKAGED == (*SHIPPED, "unsignalised")
     assert cad_env.register(OWN) is cad_env.register(OWN) is scenario_named("own_turn") is OWN
-    assert tuple(SCENARIOS) == (*SHIPPED, "own_turn")
+    assert tuple(SCENARIOS) == (*registry.PACKAGED, "own_turn")
     assert SHIPPED == ("left_turn", "overtaking", "street_crossing")
     assert CADEnv(scenario="own_turn").simulation.scenario is OWN
 
@@ -98,7 +98,7 @@ def test_what_would_be_taken_for_another_is_refused_and_leaves_no_trace(other, c
     with pytest.raises(ValueError, match=complaint) as refusal:
         cad_env.register(other)
     assert "\n" not in str(refusal.value)
-    assert (tuple(SCENARIOS), list(gym.registry)) == ((*SHIPPED, "own_turn"), ids)
+    assert (tuple(SCENARIOS), list(gym.registry)) == ((*registry.PACKAGED, "own_turn"), ids)
 
 
 @pytest.mark.parametrize("name", ["", "all", "my turn", "a:b", 3])
@@ -137,9 +137,9 @@ def installed(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
 
 def test_an_installed_one_is_imported_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch):
     installed(monkeypatch, "own_turn")
-    with pytest.raises(ValueError, match="choose among left_turn, overtaking, street_crossing, own_turn"):
+    with pytest.raises(ValueError, match="choose among left_turn, overtaking, street_crossing, unsignalised, own_turn"):
         scenario_named("right_turn")
-    assert tuple(SCENARIOS) == SHIPPED
+    assert tuple(SCENARIOS) == registry.PACKAGED
     assert scenario_named("own_turn").gym_id == "CADOwnTurn-v0"
     assert registered() == ("test_registry:OWN",)
 
@@ -170,7 +170,7 @@ def test_an_installed_package_has_its_id_without_being_imported(tmp_path: Path):
 
 
 def test_a_digest_of_its_source_marks_results_of_one_from_outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    assert all(outside_sources(name) == {} for name in SHIPPED)
+    assert all(outside_sources(name) == {} for name in registry.PACKAGED)
     found = []
     for number, actors in enumerate(("actors", "actors", "lambda *given: actors(*given)")):
         source = (

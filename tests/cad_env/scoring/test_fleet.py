@@ -2,10 +2,11 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import Steady, Twitchy
+from scenes import Steady, Twitchy, everybody
 
 from cad_env.envs.parallel import CADParallelEnv, parallel_env
 from cad_env.rules.expert import Expert
@@ -33,7 +34,7 @@ def identical(a: FleetEpisode, b: FleetEpisode) -> bool:
 
 @pytest.mark.parametrize("gym_id", [scenario.gym_id for scenario in SCENARIOS.values()])
 def test_decisions_in_batches_one_by_one_and_by_name_are_the_same_episode(gym_id: str):
-    env = parallel_env(gym_id)
+    env = everybody(gym_id)
     together = rollout_fleet(env, Twitchy(), 3, "together")
     assert together.agents[0].bytes_received > 0
     for policies in (OneByOne(), {name: OneByOne() for name in env.possible_agents}):
@@ -42,7 +43,7 @@ def test_decisions_in_batches_one_by_one_and_by_name_are_the_same_episode(gym_id
 
 
 def test_an_episode_says_what_each_agent_did_and_how_it_ended():
-    env = parallel_env()
+    env = everybody()
     seen: dict[str, list[int]] = {}
 
     def watch(env: CADParallelEnv, observations: Mapping, actions: Mapping[str, int]) -> None:
@@ -63,7 +64,7 @@ def test_an_episode_says_what_each_agent_did_and_how_it_ended():
 
 
 def test_everybody_may_be_driven_by_somebody_else():
-    env = parallel_env("CADLeftTurn-v0", max_cycles=60)
+    env = everybody("CADLeftTurn-v0", max_cycles=60)
     for seed in range(20):
         _, infos = env.reset(seed=seed)
         driving = [name for name, info in infos.items() if not info["waits"] and info["speed"] > 3.0]
@@ -79,7 +80,7 @@ def test_everybody_may_be_driven_by_somebody_else():
 
 
 def test_experts_are_given_the_truth_and_do_not_collide():
-    env = parallel_env()
+    env = everybody()
     for seed in range(1_000_000, 1_000_002):
         episode = rollout_fleet(env, Expert(), seed, hazard=True)
         assert episode.collisions == 0
@@ -90,7 +91,7 @@ def test_experts_are_given_the_truth_and_do_not_collide():
 def test_a_fleet_that_shares_collides_less_than_one_that_does_not():
     crashed = {}
     for radio in ("dsrc", "none"):
-        env = parallel_env(radio=radio)
+        env = everybody(radio=radio)
         crashed[radio] = sum(rollout_fleet(env, Planner(), seed, hazard=True).collisions for seed in range(12))
     assert crashed["dsrc"] <= 1 < crashed["none"]  # with gaps in streams even the told collide once in a while
 
@@ -104,7 +105,7 @@ def test_a_fleet_that_shares_collides_less_than_one_that_does_not():
 )
 def test_names_that_do_not_fit_are_refused(policies: dict, complaint: str):
     with pytest.raises(ValueError, match=re.escape(complaint)):
-        rollout_fleet(parallel_env(), policies, 0)
+        rollout_fleet(everybody(), policies, 0)
 
 
 def episode(hazard: bool, *outcomes: str, brakes: int = 0, method: str = "c") -> FleetEpisode:
@@ -138,6 +139,18 @@ def test_a_score_counts_episodes_agents_and_those_that_drive():
     table = fleet_table(rows).splitlines()
     assert len(table) == 5
     assert re.search(r"left_turn +c +all +3 +33\.3 \[ *6\.1, 79\.2\] +12 +16\.7 ", table[2])
+
+
+def test_those_who_stand_and_wait_for_each_other_are_a_deadlock():
+    env = parallel_env("CADUnsignalised-v0", radio="none", traffic="none", max_cycles=150)
+    standing = rollout_fleet(env, Steady(BRAKE), 3)
+    assert 1.0 < standing.deadlock < 4.0  # since they came to stand
+    assert {agent.outcome for agent in standing.agents} == {"timeout"}
+    brakes = {name: Steady(BRAKE if name == "cav_0" else GO) for name in env.possible_agents}
+    assert rollout_fleet(env, brakes, 3).deadlock == np.inf  # only one of them stands
+    (row, *_) = fleet_scores([standing, replace(standing, deadlock=np.inf)])
+    assert (row.deadlocks.count, row.deadlocks.of) == (1, 2)
+    assert " 50.0 " in fleet_table([row])
 
 
 def test_contenders_come_in_the_order_of_their_first_episode():

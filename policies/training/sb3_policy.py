@@ -1,0 +1,123 @@
+"""The graph network inside a policy of Stable-Baselines3: put in, taken out, or begun with from a clone."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from stable_baselines3 import PPO
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+
+from cad_env.checks import ConfigError
+from cad_env.types import BRAKE, GO
+from policies.layers import Linear
+from policies.model_folder import SavedModel, load_model
+from policies.stgraph.compiled.module import fused_embedding
+from policies.stgraph.config import StGraphConfig
+from policies.stgraph.network import StGraphNet
+
+CRITIC = (32, 32)  # widths of the critic on top of the embedding
+
+
+class GraphFeatures(BaseFeaturesExtractor):
+    """The graph network's embedding of the scene, and the command: what its decision, and a critic, is made of.
+
+    For `policy_kwargs` of any algorithm of the library on environments that show what the network reads, unscaled:
+    `config.reads`. By default the network is told how everything moves and how the ego's own way bends.
+    """
+
+    def __init__(self, space: spaces.Dict, config: StGraphConfig | None = None, seed: int = 0) -> None:
+        config = config or StGraphConfig()
+        super().__init__(space, config.head_width + int(space["command"].shape[0]))  # type: ignore[index]
+        self.network = StGraphNet(config, seed)
+        self.network.decide = nn.Sequential()  # the actor of the library takes its place
+
+    def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
+        """(B, head_width + C)."""
+        embedded = fused_embedding(self.network, observation)
+        return torch.cat([embedded, observation["command"].to(embedded.dtype)], dim=1)
+
+
+class Detached(nn.Module):
+    """Lets numbers through and no gradients back."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x, of any shape."""
+        return x.detach()
+
+
+class Kept(nn.Module):
+    """The parts of a policy of the library, each once: there its embedding has three names."""
+
+    def __init__(self, policy: Any) -> None:
+        super().__init__()
+        self.embedding, self.heads = policy.features_extractor, policy.mlp_extractor
+        self.action, self.value = policy.action_net, policy.value_net
+
+
+def policy_settings(config: StGraphConfig, seed: int) -> dict[str, Any]:
+    """`policy_kwargs` by which the library's actor is the graph network; `seed` draws its first weights."""
+    return {
+        "features_extractor_class": GraphFeatures,
+        "features_extractor_kwargs": {"config": config, "seed": seed},
+        "net_arch": {"pi": [config.mlp_width, config.mlp_width], "vf": list(CRITIC)},
+        "activation_fn": nn.ReLU,
+    }
+
+
+def lean_towards_go(model: PPO, bias: float) -> None:
+    """Raise the logit of GO in the actor's last layer: before it has learned anything, it goes e^bias times a brake."""
+    policy: Any = model.policy
+    with torch.no_grad():
+        policy.action_net.bias[GO] += bias
+
+
+def graph_model(folder: str | Path) -> SavedModel:
+    """The model in a folder; ConfigError, one line, for one that is no graph network, FileError for a damaged one."""
+    clone = load_model(folder)
+    if not isinstance(clone.network, StGraphNet):
+        raise ConfigError(f"a clone to begin with must be a graph network (spec stgraph), got one of {clone.spec.name}")
+    return clone
+
+
+def begin_with(model: PPO, clone: SavedModel) -> None:
+    """Give the actor the weights of a clone, which then brakes where it is likelier than not that the clone does.
+
+    The critic no longer moves the embedding: it begins by chance and would spoil what was learned.
+    """
+    policy: Any = model.policy
+    network: Any = clone.network
+    policy.features_extractor.network.load_state_dict(network.state_dict(), strict=False)
+    for layer, own in zip(_layers_of_actor(policy), _layers_of(network), strict=True):
+        layer.load_state_dict(own.state_dict())
+    with torch.no_grad():
+        policy.action_net.bias[BRAKE] -= math.log(clone.threshold / (1.0 - clone.threshold))
+    policy.mlp_extractor.value_net.insert(0, Detached())
+
+
+def freeze_actor(model: PPO, frozen: bool) -> None:
+    """Whether only the critic learns."""
+    policy: Any = model.policy
+    for part in (policy.features_extractor, policy.mlp_extractor.policy_net, policy.action_net):
+        part.requires_grad_(not frozen)
+
+
+def actor_of(model: PPO, config: StGraphConfig) -> StGraphNet:
+    """The graph network with the weights of the actor."""
+    policy: Any = model.policy
+    network = StGraphNet(config)
+    network.load_state_dict(policy.features_extractor.network.state_dict(), strict=False)
+    for own, layer in zip(_layers_of(network), _layers_of_actor(policy), strict=True):
+        own.load_state_dict(layer.state_dict())
+    return network
+
+
+def _layers_of(network: StGraphNet) -> list[nn.Module]:
+    return [layer for layer in network.decide if isinstance(layer, Linear)]
+
+
+def _layers_of_actor(policy: Any) -> list[nn.Module]:
+    return [*(layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)), policy.action_net]

@@ -10,35 +10,22 @@ second as it will be scored, and the part that is worth most is kept.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 
-from cad_env.checks import (
-    ConfigError,
-    check_numbers,
-    check_path,
-    check_seed,
-    check_several,
-    check_text,
-    check_whole,
-    did_you_mean,
-    settle,
-)
-from cad_env.config import radio_config
-from cad_env.envs.rewards import REWARDS
+from cad_env.checks import check_path, check_seed, check_several, check_whole
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import SHIPPED, scenario_named
-from cad_env.types import MAX_STEPS
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.spec import fitting
-from policies.stgraph.network import StGraphConfig
 from policies.stgraph.policy import StGraphPolicy
 from policies.training.cloning import drive_episodes, load_state, save_state
-from policies.training.config import NOMINAL, VALIDATION, VALIDATION_SEEDS, small_seed
+from policies.training.config import NOMINAL, VALIDATION_SEEDS, small_seed
+from policies.training.ppo_config import ROLLOUT, SCENES_AT_ONCE, PpoConfig
 from policies.training.sb3_env import CADVecEnv
 from policies.training.sb3_policy import (
     Kept,
@@ -51,48 +38,9 @@ from policies.training.sb3_policy import (
 )
 from policies.training.validation_log import Log, summary
 
-SCENES_AT_ONCE, ROLLOUT = 48, 64  # scenes at once, and decisions in each of them between two updates
 PART = 4 * SCENES_AT_ONCE * ROLLOUT  # decisions between two checkpoints
 THRESHOLD = 0.5  # brake where that is the likelier decision
 PARTS_LOG = "metrics.csv"  # what the network was worth after each part
-
-
-@dataclass(frozen=True)
-class PpoConfig:
-    """How the network learns; most numbers are customary ones."""
-
-    radio: str = "dsrc"  # none: without sharing
-    reward: str = "time-and-safety"  # one of cad_env.envs.rewards.REWARDS
-    hold: int = 5  # steps of 0.1 s for which a decision holds while it learns
-    go_bias: float = 1.5  # what the first network's logit of GO is above that of BRAKE: e^1.5 = 4.5 goes to a brake
-    learning_rate: float = 7e-4
-    final_rate: float = 0.1  # share of it in the last part; in between it falls evenly
-    discount: float = 0.99  # of a decision
-    advantage: float = 0.95  # lambda of generalised advantage estimation
-    clip: float = 0.2
-    entropy: float = 0.005
-    epochs: int = 3
-    batch: int = 128
-    validation: int = 60  # episodes of each scenario after each part; 0: none, and the last part is kept
-    clone: str | None = (
-        None  # folder of a model of the same kind to begin with; its network takes the place of `network`
-    )
-    critic_parts: int = 1  # parts at first in which only the critic learns, where it begins with a clone
-    network: StGraphConfig = field(default_factory=StGraphConfig)
-
-    def __post_init__(self) -> None:
-        radio_config(self.radio)
-        if self.reward not in REWARDS:
-            near = did_you_mean(self.reward, REWARDS)
-            raise ConfigError(f"reward must be one of {', '.join(REWARDS)}, got {self.reward!r}{near}")
-        settle(self, "clone", None if self.clone is None else check_text("clone", self.clone))
-        limits = {
-            "hold": (1, MAX_STEPS), "go_bias": (-10.0, 10.0), "learning_rate": (1e-7, 1.0), "final_rate": (0.0, 1.0),
-            "discount": (0.0, 1.0), "advantage": (0.0, 1.0), "clip": (0.0, 1.0), "entropy": (0.0, 1.0),
-            "epochs": (1, 100), "batch": (2, SCENES_AT_ONCE * ROLLOUT), "validation": (0, VALIDATION[1]),
-            "critic_parts": (0, 10**6),
-        }  # fmt: skip
-        check_numbers(self, "", limits)
 
 
 @dataclass(frozen=True)
@@ -194,7 +142,7 @@ def _learn(model: PPO, config: PpoConfig, seed: int, part: int, parts: int) -> N
     model.set_env(scenes, force_reset=True)
     fallen = (1.0 - config.final_rate) * part / max(parts - 1, 1)
     model.lr_schedule = lambda _: config.learning_rate * (1.0 - fallen)
-    freeze_actor(model, config.clone is not None and part < config.critic_parts)
+    freeze_actor(model, part < config.critic_parts, embedding=config.clone is not None)
     model.learn(PART, reset_num_timesteps=False)
 
 

@@ -98,10 +98,11 @@ def begin_with(model: PPO, clone: SavedModel) -> None:
     policy.mlp_extractor.value_net.insert(0, Detached())
 
 
-def freeze_actor(model: PPO, frozen: bool) -> None:
-    """Whether only the critic learns."""
+def freeze_actor(model: PPO, frozen: bool, embedding: bool) -> None:
+    """Whether the decisions stay as they are while the critic learns; with `embedding`, that of the scene too."""
     policy: Any = model.policy
-    for part in (policy.features_extractor, policy.mlp_extractor.policy_net, policy.action_net):
+    policy.features_extractor.requires_grad_(not (frozen and embedding))
+    for part in (policy.mlp_extractor.policy_net, policy.action_net):
         part.requires_grad_(not frozen)
 
 

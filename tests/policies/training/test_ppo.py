@@ -26,7 +26,7 @@ from policies.training.sb3_env import SEEDS
 from policies.training.sb3_policy import actor_of
 
 SCENES = ("left_turn", "overtaking")
-SMALL = PpoConfig(batch=16, validation=2)
+SMALL = PpoConfig(batch=16, validation=2, critic_parts=1)
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_the_rate_falls_from_part_to_part():
     for part in range(3):
         ppo._learn(model, SMALL, 1, part, 3)
         rates.append(model.policy.optimizer.param_groups[0]["lr"])
-    assert rates == pytest.approx([7e-4, 3.85e-4, 7e-5])
+    assert rates == pytest.approx([1e-3, 5.5e-4, 1e-4])
 
 
 @pytest.mark.usefixtures("short")
@@ -155,6 +155,23 @@ def test_what_begins_with_a_clone_decides_as_it_does_until_the_critic_has_learne
     ppo._learn(model, config, 1, 1, 2)
     assert not np.array_equal(decided(), begun)
     assert_decides_as(model, seen)
+
+
+@pytest.mark.usefixtures("short")
+def test_from_scratch_the_critic_learns_first_and_the_embedding_with_it():
+    model = ppo._learner(ppo._scenes(SMALL, SCENES), SMALL, seed=1)
+
+    def weights() -> dict[str, torch.Tensor]:
+        return {name: value.clone() for name, value in model.policy.state_dict().items()}
+
+    before = weights()
+    ppo._learn(model, SMALL, 1, 0, 2)
+    moved = {name for name, value in weights().items() if not torch.equal(value, before[name])}
+    assert not any("policy_net" in name or "action_net" in name for name in moved)
+    assert {"features_extractor.network.project.weight", "value_net.weight"} <= moved
+    before = weights()
+    ppo._learn(model, SMALL, 1, 1, 2)
+    assert not torch.equal(weights()["action_net.bias"], before["action_net.bias"])
 
 
 def test_a_clone_of_another_kind_is_refused(tmp_path: Path):

@@ -5,14 +5,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 from cad_env.checks import ConfigError
-from cad_env.types import BRAKE, GO
+from cad_env.envs.scaling import scaled_observation
+from cad_env.types import BRAKE, GO, Ints, Observation
 from policies.layers import Linear
 from policies.model_folder import SavedModel, load_model
 from policies.stgraph.compiled.module import fused_embedding
@@ -25,12 +28,11 @@ CRITIC = (32, 32)  # widths of the critic on top of the embedding
 class GraphFeatures(BaseFeaturesExtractor):
     """The graph network's embedding of the scene, and the command: what its decision, and a critic, is made of.
 
-    For `policy_kwargs` of any algorithm of the library on environments that show what the network reads, unscaled:
-    `config.reads`. By default the network is told how everything moves and how the ego's own way bends.
+    For `policy_kwargs` of any algorithm of the library, in environments that show what the network reads,
+    `config.reads`, unscaled; `seed` draws its first weights.
     """
 
-    def __init__(self, space: spaces.Dict, config: StGraphConfig | None = None, seed: int = 0) -> None:
-        config = config or StGraphConfig()
+    def __init__(self, space: spaces.Dict, config: StGraphConfig, seed: int = 0) -> None:
         super().__init__(space, config.head_width + int(space["command"].shape[0]))  # type: ignore[index]
         self.network = StGraphNet(config, seed)
         self.network.decide = nn.Sequential()  # the actor of the library takes its place
@@ -39,6 +41,35 @@ class GraphFeatures(BaseFeaturesExtractor):
         """(B, head_width + C)."""
         embedded = fused_embedding(self.network, observation)
         return torch.cat([embedded, observation["command"].to(embedded.dtype)], dim=1)
+
+
+class SB3Policy:
+    """A trained model of the library as a policy, for `rollout`, `rollouts` and `rollout_fleet`: the likelier decision.
+
+    It is shown what its model reads, scaled if that learned from scaled observations, and decides ten times a second,
+    for however long its decisions held while it learned.
+    """
+
+    privileged = False
+
+    def __init__(self, model: BaseAlgorithm, scaled: bool = False) -> None:
+        self.model, self.scaled = model, scaled
+        space: Any = model.observation_space
+        self.names = tuple(space)
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget: all memory is in the observation's window."""
+
+    def act(self, observation: Observation) -> int:
+        """GO or BRAKE for one observation."""
+        return int(self.act_batch({name: observation[name][None] for name in self.names})[0])
+
+    def act_batch(self, observations: Observation) -> Ints:
+        """GO or BRAKE, (n,), for observations stacked along a new first axis."""
+        shown = {name: observations[name] for name in self.names}
+        return np.asarray(
+            self.model.predict(scaled_observation(shown) if self.scaled else shown, deterministic=True)[0]
+        )
 
 
 class Detached(nn.Module):

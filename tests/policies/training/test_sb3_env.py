@@ -7,10 +7,11 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from cad_env.envs.scaling import scaled_observation
 from cad_env.envs.vector import CADVectorEnv
+from cad_env.scoring.rollout import rollouts
 from cad_env.types import BRAKE, GO, MAX_STEPS
 from policies.stgraph.config import StGraphConfig
 from policies.training.sb3_env import SEEDS, CADVecEnv
-from policies.training.sb3_policy import GraphFeatures
+from policies.training.sb3_policy import GraphFeatures, SB3Policy
 
 SCENES = ("left_turn", "overtaking")
 READS = StGraphConfig().reads
@@ -110,7 +111,8 @@ def test_scaled_it_shows_what_the_wrapper_shows():
 
 
 def test_the_library_learns_in_it_with_the_graph_network_and_without():
-    graph = {"features_extractor_class": GraphFeatures}
+    config = {"features_extractor_kwargs": {"config": StGraphConfig()}}
+    graph = {"features_extractor_class": GraphFeatures, **config}
     for envs, settings in ((started(hold=5), graph), (VecNormalize(started(scaled=True), norm_obs=False), {})):
         model = PPO("MultiInputPolicy", envs, n_steps=8, batch_size=8, n_epochs=1, device="cpu", policy_kwargs=settings)
         before = [value.clone() for value in model.policy.parameters()]
@@ -118,6 +120,18 @@ def test_the_library_learns_in_it_with_the_graph_network_and_without():
         assert not all(
             np.array_equal(a.detach(), b.detach()) for a, b in zip(before, model.policy.parameters(), strict=True)
         )
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+def test_what_the_library_learned_drives(scaled: bool):
+    envs = CADVecEnv(2, ("ego", "command"), scaled, scenario="left_turn")
+    model = PPO("MultiInputPolicy", envs, n_steps=8, batch_size=8, n_epochs=1, device="cpu", seed=1)
+    policy, seen = SB3Policy(model, scaled), CADVectorEnv(3, scenario="left_turn").reset(seed=5)[0]
+    shown = {name: seen[name] for name in ("ego", "command")}
+    wanted, _ = model.predict(scaled_observation(shown) if scaled else shown, deterministic=True)
+    np.testing.assert_array_equal(policy.act_batch(seen), wanted)
+    assert [policy.act({name: part[k] for name, part in seen.items()}) for k in range(3)] == wanted.tolist()
+    assert len(list(rollouts(CADVectorEnv(2, scenario="left_turn"), policy, range(2)))) == 2
 
 
 def test_parts_that_are_not_there_are_refused_in_one_line():

@@ -72,8 +72,8 @@ class RewardTask:
     def noted(self) -> dict[str, Any]:
         """What its model is trained with."""
         told = {"decisions": self.decisions, "seed": self.seed, "scenarios": self.scenarios}
-        clone = self.config.clone
-        return {**asdict(self.config), **told, "weights of the clone": None if clone is None else _weights_of(clone)}
+        clone = None if self.config.clone is None else _weights_of(self.config.clone)  # wherever they are kept
+        return {**asdict(self.config), **told, "clone": clone}
 
     def perform(self, advance: Advance) -> None:
         """Train, or resume where that stopped."""

@@ -161,10 +161,12 @@ def _validate(run: _Run, part: int) -> None:
 def _keep_best(run: _Run) -> None:
     """Save the part that was worth most as the model, or the last one where none was validated."""
     config, ranked = run.config, run.log.ranked()
+    clone = None if config.clone is None else Path(config.clone).name  # not where it was on this machine
     best = ranked[0][0] if ranked else run.parts - 1
     run.load(best)
     notes = {
-        "ppo": asdict(config), "decisions": run.parts * PART, "seed": run.seed, "scenarios": list(run.scenarios),
+        "ppo": {**asdict(config), "clone": clone}, "decisions": run.parts * PART, "seed": run.seed,
+        "scenarios": list(run.scenarios),
         "chosen": run.log.note(*ranked[0]) if ranked else {"round": best},
     }  # fmt: skip
     save_model(run.folder, SavedModel(actor_of(run.model, config.network), THRESHOLD, notes))

@@ -41,7 +41,7 @@ def test_it_trains_a_model_that_loads_and_refuses_to_mix(tmp_path: Path, monkeyp
     assert sum(told) == pytest.approx(task.work())
     saved = load_model(task.folder)
     assert saved.training["decisions"] == 256
-    assert saved.training["ppo"]["clone"] == task.config.clone
+    assert saved.training["ppo"]["clone"] == "stgraph-motion"
     claim_folder(task)
     with pytest.raises(ConfigError, match=r"ppo-from-clone holds a run with another reward .* use another --out"):
         claim_folder(task_of(tmp_path, "--method", "ppo-from-clone", "--decisions", "256", "--reward", "progress"))

@@ -1,11 +1,16 @@
 """A decision that holds is the same as deciding so often, to the last bit."""
 
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
 
-from cad_env.envs.hold import HoldDecision
+from cad_env.envs.fixed_agents import FixedAgents
+from cad_env.envs.hold import HoldDecision, HoldParallel
+from cad_env.envs.parallel import CADParallelEnv
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.types import MAX_STEPS
@@ -73,6 +78,42 @@ def test_side_by_side_it_equals_the_wrapper(mode: str, reward: str) -> None:
         begun += int((ended | cut).sum())
         over = (ended | cut) if mode == "NextStep" else over
     assert begun > count
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+def test_every_agent_holds_and_who_leaves_meanwhile_is_as_it_left(fixed: bool) -> None:
+    def made() -> Any:
+        bare = CADParallelEnv(reward="time-and-safety")
+        return FixedAgents(bare) if fixed else bare
+
+    held, bare = HoldParallel(made(), 6), made()
+    held.reset(seed=SEED)
+    bare.reset(seed=SEED)
+    left_meanwhile = False
+    for k in range(MAX_STEPS):
+        action = int(k % 4 == 1)
+        begun, found = set(held.agents), held.step(dict.fromkeys(held.agents, action))
+        total, last = dict.fromkeys(begun, 0.0), {}
+        for part in range(6):
+            step = bare.step(dict.fromkeys(bare.agents, action))
+            for agent in step[1]:
+                total[agent] += step[1][agent]
+                last[agent] = [each[agent] for each in step]
+            left_meanwhile |= part < 5 and len(bare.agents) < len(begun)
+            if not bare.agents:
+                break
+        assert set(found[0]) == set(last) == begun
+        assert (found[1], held.agents) == (total, bare.agents)
+        for agent, (seen, _, *how) in last.items():
+            assert_same(found[0][agent], seen)
+            assert [each[agent] for each in found[2:]] == how
+        if not held.agents:
+            break
+    assert left_meanwhile
+
+
+def test_it_is_an_environment_of_pettingzoo() -> None:
+    parallel_api_test(HoldParallel(CADParallelEnv(), 5), num_cycles=100)
 
 
 def test_a_time_limit_ends_an_episode_while_a_decision_holds() -> None:

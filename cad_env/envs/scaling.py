@@ -17,7 +17,8 @@ from cad_env.pipeline.observe_lanes import LANE_FEATURES
 from cad_env.types import Floats, Observation
 
 DISTANCE = 50.0  # m: most of what a decision is about is nearer
-SPEED, WANTED_SPEED, LENGTH, WIDTH = 15.0, 15.0, 10.0, 2.5  # m/s, m/s, m, m: a fast ego, a truck's half, its width
+SPEED = 15.0  # m/s: a fast ego
+BODY = (10.0, 2.5)  # m, length and width: about a truck's
 DURATION = 5.0  # s
 _LANES = {
     "cos": 1.0, "sin": 1.0, "phantom_cos": 1.0, "phantom_sin": 1.0, "age": DURATION, "time": DURATION, "speed": SPEED,
@@ -27,7 +28,7 @@ SCALES: Mapping[str, Floats] = MappingProxyType(
     {
         "tracks": np.full(3, DISTANCE),
         "odometry": np.array([DISTANCE, DISTANCE, 1.0]),  # the last is an angle, rad
-        "ego": np.array([SPEED, WANTED_SPEED, LENGTH, WIDTH]),
+        "ego": np.array([SPEED, SPEED, *BODY]),
         "route": np.full(2, DISTANCE),
         "lanes": np.array([_LANES.get(name, DISTANCE) for name in LANE_FEATURES]),
         "cloud": np.full(3, DISTANCE),  # x, y, z; what a codec says of a point is left as it is

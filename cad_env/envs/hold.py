@@ -64,9 +64,9 @@ class HoldParallel(BaseParallelWrapper[str, Observation, int]):
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Any]:
         """As the environment's."""
-        found = self.env.reset(seed=seed, options=options)
+        observations, infos = self.env.reset(seed=seed, options=options)
         self.agents = self.env.agents
-        return found
+        return observations, infos
 
     def step(self, actions: Mapping[str, int]) -> tuple[Any, ...]:
         """Everybody decides; let the time of the decisions pass."""

@@ -30,7 +30,6 @@ MOTION: Mapping[str, Any] = MappingProxyType(
 # Conditions under which a network learns that is told what nobody vouches for: from nobody on the air to the guaranteed
 # witness, and a channel that loses most.
 MIXTURE = ("nominal", "alone", "penetration-10", "penetration-50", "loss-70")
-REWARDED = "ppo"  # the one method that learns by reward, not from demonstrations
 
 
 @dataclass(frozen=True)
@@ -45,6 +44,7 @@ class LearnedMethod:
     training: Mapping[str, Any] = field(default_factory=dict)
     pace: float = 1.0  # optimiser steps, as a share of those that a run is asked for
     most_validated: int | None = None  # episodes after each third of a round, however many a run is asked for
+    begins_with: str | None = None  # the method whose model that ships it begins with, if it learns by reward
     cost: float = 1.0  # of a frame, driven or learned from, where that of a graph is 1: for an honest progress bar
 
     @property
@@ -98,6 +98,13 @@ _LEARNED = (
 )  # fmt: skip
 
 LEARNED: Mapping[str, LearnedMethod] = MappingProxyType({row.name: row for row in _LEARNED})
+# What learns by reward, not from demonstrations: the network of the main job, from scratch, and as it was cloned.
+REWARDED: Mapping[str, LearnedMethod] = MappingProxyType(
+    {
+        "ppo": LearnedMethod("ppo", config=MOTION),
+        "ppo-from-clone": LearnedMethod("ppo-from-clone", config=MOTION, begins_with="stgraph-motion"),
+    }
+)
 
 
 def folder_of(name: str) -> str:
@@ -203,7 +210,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             *map(_of, LEARNED.values()),
             Method("planner-coverage", KNOWS_SENT, _coverage_planner, coverage=True),
             Method("cautious-own", KNOWS_SEEN, _coverage_planner, coverage=True),  # the same rules, alone
-            _of(LearnedMethod(REWARDED)),
+            *map(_of, REWARDED.values()),
         )
     }
 )
@@ -227,19 +234,18 @@ def method_named(name: str) -> Method:
 
 
 def learned_named(name: str) -> LearnedMethod:
-    """How the method called `name` is learned from demonstrations; ValueError that lists the choices otherwise."""
+    """How the method called `name` is learned; ValueError that lists the choices where it is not."""
     if is_reference(name):
         learned = _outside(name).learned
         if learned is None:
             raise ValueError(f"{name} is a policy, not a network spec: there is nothing to train")
         return learned
-    if name not in LEARNED:
-        choices = f"choose among {', '.join(LEARNED)} or give module:spec{did_you_mean(name, LEARNED)}"
-        if name == REWARDED:
-            raise ConfigError(f"{name} learns by reward, not from demonstrations: {how_to_train(name)}")
+    trained = {**LEARNED, **REWARDED}
+    if name not in trained:
+        choices = f"choose among {', '.join(trained)} or give module:spec{did_you_mean(name, trained)}"
         what = f"{name} is not learned" if name in METHODS else f"unknown method {name!r}"
         raise ConfigError(f"{what}: {choices}")
-    return LEARNED[name]
+    return trained[name]
 
 
 def choices(names: Iterable[str] | None = None) -> str:
@@ -253,8 +259,6 @@ def choices(names: Iterable[str] | None = None) -> str:
 def how_to_train(name: str, scenarios: Sequence[str] = ()) -> str:
     """The command that trains a method, by default for all scenarios that ship, and how its model is then found."""
     where = f"runs/{folder_of(name)}"
-    if name == REWARDED:
-        return f"`python reproduce.py --method {name} --out {where}` trains it; then --models {where}/models/seed_0"
     chosen = f"--scenario {shlex.join(scenarios)} " if scenarios else ""
     return f"`python train.py {chosen}--method {shlex.quote(name)} --out {where}` trains it; then --models {where}"
 

@@ -3,15 +3,15 @@
 pip install -c constraints.txt -e ".[examples]"
 python examples/ppo_parameter_sharing.py --steps 100000
 
-A short run that shows how to plug the libraries together, not a result: it prints how fleets of the network did before
-and after, with intervals. `FixedAgents` keeps everybody in the scene to its end, as SuperSuit wants it. PPO's own log
-would show no successes: SuperSuit overwrites the last `info` of an episode with the first one of the next.
+It prints how fleets of the network did before and after, with intervals; docs/reinforcement-learning.md says what it
+reaches. Decisions hold for half a second while it learns, and at first lean towards going. `FixedAgents` keeps
+everybody in the scene to its end, as SuperSuit wants it. PPO's own log would show no successes: SuperSuit overwrites
+the last `info` of an episode with the first one of the next.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import supersuit
 import torch
 import tyro
@@ -22,9 +22,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from cad_env.envs.fixed_agents import FixedAgents
+from cad_env.envs.hold import HoldParallel
 from cad_env.envs.parallel import CADParallelEnv
 from cad_env.scoring.fleet import FleetEpisode, fleet_scores, fleet_table, rollout_fleet
-from cad_env.types import Ints, Observation
+from policies.training.sb3_policy import SB3Policy, lean_towards_go
 
 
 @dataclass(frozen=True)
@@ -43,26 +44,6 @@ class Settings:
     seed: int = 0
 
 
-class Shared:
-    """The network as a policy for every agent, deciding for all of them at once."""
-
-    privileged = False
-
-    def __init__(self, model: PPO) -> None:
-        self.model = model
-
-    def reset(self, seed: int) -> None:
-        """Nothing to forget: all memory is in the observation's window."""
-
-    def act(self, observation: Observation) -> int:
-        """The likelier decision."""
-        return int(self.model.predict(observation, deterministic=True)[0])
-
-    def act_batch(self, observations: Observation) -> Ints:
-        """The likelier decision of each."""
-        return np.asarray(self.model.predict(observations, deterministic=True)[0])
-
-
 class Bar(BaseCallback):
     """A progress bar over the decisions learnt from."""
 
@@ -79,7 +60,8 @@ class Bar(BaseCallback):
 
 def many_scenes(settings: Settings) -> VecEnv:
     """Every agent of several scenes as an environment of one vector environment."""
-    agents = supersuit.pettingzoo_env_to_vec_env_v1(FixedAgents(CADParallelEnv(scenario=settings.scenario)))
+    scene = FixedAgents(CADParallelEnv(scenario=settings.scenario, reward="time-and-safety"))
+    agents = supersuit.pettingzoo_env_to_vec_env_v1(HoldParallel(scene, 5))
     # One process: a scene costs less than sending it to another.
     scenes: Any = supersuit.concat_vec_envs_v1(agents, settings.scenes, num_cpus=1, base_class="stable_baselines3")
     scenes.venv.reset(seed=settings.seed)  # SuperSuit has no other way to seed, and so PPO must not be given a seed
@@ -88,7 +70,7 @@ def many_scenes(settings: Settings) -> VecEnv:
 
 def scored(settings: Settings, model: PPO, name: str) -> list[FleetEpisode]:
     """The episodes of the network as it is now, on seeds that it does not learn from."""
-    env, policy = CADParallelEnv(scenario=settings.scenario), Shared(model)
+    env, policy = CADParallelEnv(scenario=settings.scenario), SB3Policy(model)
     seeds = range(1_000_000, 1_000_000 + settings.episodes)
     return [rollout_fleet(env, policy, seed, name) for seed in tqdm(seeds, desc=name, disable=None)]
 
@@ -100,6 +82,7 @@ def main(settings: Settings) -> str:
     env = many_scenes(settings)
     batch = min(256, settings.rollout * env.num_envs)
     model = PPO("MultiInputPolicy", env, n_steps=settings.rollout, batch_size=batch, n_epochs=4, device="cpu")
+    lean_towards_go(model, 1.5)
     before = scored(settings, model, "before")
     model.learn(settings.steps, callback=Bar())
     table = fleet_table(fleet_scores([*before, *scored(settings, model, "after")]))

@@ -6,7 +6,6 @@ among processes and, by shards, among machines with one file system.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,12 +13,12 @@ from baselines.evaluation.grid import Key, shard_of
 from baselines.evaluation.settings import Settings
 from baselines.evaluation.store import EPISODES, key_of, read_records, read_settings
 from baselines.folder_note import difference
-from baselines.methods import LEARNED, METHODS, method_named, radio_of
+from baselines.methods import LEARNED, METHODS, REWARDED, method_named, radio_of
 from baselines.paper.folder import TABLE_ORDER
 from baselines.paper.open_loop import FIRST_SEED, measure, open_path, read_open_loop, write_open_loop
 from baselines.paper.presets import END_POINTS, Preset
 from baselines.paper.sweeps import SweepPoint, points
-from baselines.training.config import TrainingTask, perform_training, training_config
+from baselines.training.config import RewardTask, TrainingTask, perform_training, ppo_config, training_config
 from cad_env.scoring.scorecard import Record
 from policies.training.config import Advance
 
@@ -27,8 +26,7 @@ USUAL_RADIO = "dsrc"
 SPARE = "ideal"  # what rows are scored over as well whose messages are too large for the other
 LARGE = ("points", "features")
 DEMONSTRATIONS, MODELS, PARTS = "demonstrations", "models", "parts"
-PPO = "ppo"  # the one learned method that is not trained on demonstrations
-EPISODE, DECISION = 1.6, 0.05  # work of an episode that is driven and of PPO's decision; an optimiser step is 1
+EPISODE = 1.6  # work of an episode that is driven; an optimiser step is 1
 
 
 @dataclass(frozen=True)
@@ -40,12 +38,16 @@ class Plan:
     scenarios: tuple[str, ...]
     rows: tuple[str, ...]  # methods, in the order of the tables
 
-    def training(self, method: str, seed: int) -> TrainingTask:
-        """How a method is trained from the expert."""
+    def training(self, method: str, seed: int) -> TrainingTask | RewardTask:
+        """How a method is trained."""
+        if method in REWARDED:
+            learned, decisions = REWARDED[method], self.preset.ppo_steps
+            config = ppo_config(learned, radio=USUAL_RADIO)
+            return RewardTask(method, config, decisions, seed, self.scenarios, self.models(seed) / learned.model)
         learned = LEARNED[method]
         overrides = {"scenarios": self.scenarios, "radio": USUAL_RADIO, "seed": seed, **self.preset.training}
-        config = training_config(learned, overrides)
-        return TrainingTask(method, config, self.models(seed) / learned.model, self.out / DEMONSTRATIONS)
+        demonstrated = training_config(learned, overrides)
+        return TrainingTask(method, demonstrated, self.models(seed) / learned.model, self.out / DEMONSTRATIONS)
 
     def models(self, seed: int) -> Path:
         """The models of a training seed."""
@@ -136,9 +138,7 @@ def _is_large(row: str) -> bool:
 def work_of(plan: Plan, task: PaperTask) -> float:
     """What `perform` tells its `advance`, about."""
     if task.stage == "train":
-        if task.row == PPO:
-            return DECISION * plan.preset.ppo_steps
-        return _cost(task.row) * plan.training(task.row, task.seed).config.work()
+        return _cost(task.row) * plan.training(task.row, task.seed).work()
     made, scenes = plan.preset, len(plan.scenarios)
     episodes = {"open": made.open_loop, "closed": made.scored * scenes, "sweep": made.swept * scenes}
     return _cost(task.row) * EPISODE * episodes[task.stage]
@@ -154,11 +154,6 @@ def perform(plan: Plan, task: PaperTask, advance: Advance) -> None:
 
 
 def _train(plan: Plan, task: PaperTask, advance: Advance) -> None:
-    if task.row == PPO:
-        train_ppo = import_module("policies.training.ppo").train_ppo  # here, because it brings torch
-        folder = plan.models(task.seed) / PPO
-        train_ppo(folder, plan.preset.ppo_steps, task.seed, plan.scenarios, lambda done: advance(DECISION * done))
-        return
     perform_training(plan.training(task.row, task.seed), advance)
 
 

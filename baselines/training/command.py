@@ -12,18 +12,26 @@ from baselines.cli import Progress, parsed, refused, say, stopped
 from baselines.controls.names import BEST_BLIND
 from baselines.evaluation.command import scored
 from baselines.evaluation.settings import ALL_SCENARIOS, Settings, usual
-from baselines.methods import LEARNED, choices, folder_of, learned_named, radio_of
+from baselines.methods import LEARNED, REWARDED, choices, folder_of, learned_named, radio_of
 from baselines.signals import import_whole, sigterm_as_ctrl_c
-from baselines.training.config import TrainingTask, claim_folder, perform_training, training_config
+from baselines.training.config import (
+    RewardTask,
+    TrainingTask,
+    claim_folder,
+    perform_training,
+    ppo_config,
+    training_config,
+)
 from cad_env.checks import check_numbers, check_path, check_seed, check_several, check_switch, check_text, settle
 from cad_env.config import radio_config
 from policies.training.config import STEPS, TrainingConfig
+from policies.training.ppo_config import PpoConfig
 
 MAIN_METHODS = ("stgraph-motion", "stgraph-motion-own")
 # Scored beside them; best-blind as far as it was chosen.
 REFERENCE_METHODS = ("always-go", BEST_BLIND, "planner-own", "planner-shared", "expert")
 # The others are those of the training config that they make; only `steps` would be rounded up to what it takes.
-_LIMITS = {"score": (0, 1_000_000), "jobs": (1, 64), "steps": STEPS}
+_LIMITS = {"score": (0, 1_000_000), "jobs": (1, 64), "steps": STEPS, "decisions": (1, 10**9)}
 _ASKED = ("radio", "episodes", "dagger_rounds", "dagger_episodes", "mixing", "steps", "validation")
 
 
@@ -47,6 +55,9 @@ class TrainSettings:
     seed: tuple[int, ...] = (0,)  # of training; with several, each method is trained once from each
     score: int = 200  # episodes per method and scenario at the end; 0 trains only
     jobs: int = 2  # processes
+    decisions: int = 300_000  # of half a second each, that methods that learn by reward (ppo) learn from
+    reward: str = PpoConfig.reward  # that they learn by: progress, safety-first or time-and-safety
+    clone: Path | None = None  # model folder that ppo-from-clone begins with; default: the package's stgraph-motion
     velocity: bool = False  # a departure from the paper: nodes carry their velocity (StGraphConfig)
 
     def __post_init__(self) -> None:
@@ -55,6 +66,7 @@ class TrainSettings:
         for what, check in (("scenario", check_text), ("method", check_text), ("seed", check_seed)):
             settle(self, what, check_several(what, getattr(self, what), check))
         settle(self, "out", None if self.out is None else check_path("out", self.out))
+        settle(self, "clone", None if self.clone is None else check_path("clone", self.clone))
         settle(self, "velocity", check_switch("velocity", self.velocity))
         check_numbers(self, "", _LIMITS)
         for what in ("method", "seed"):
@@ -80,17 +92,25 @@ class TrainSettings:
         chosen = [scenario_named(name).name for name in (SHIPPED if self.scenario == ALL_SCENARIOS else self.scenario)]
         return tuple(sorted(chosen, key=list(SCENARIOS).index))
 
-    def tasks(self) -> list[TrainingTask]:
+    def tasks(self) -> list[TrainingTask | RewardTask]:
         """What is to be trained; ValueError for what is impossible."""
-        asked = {"scenarios": self.scenarios(), **{name: getattr(self, name) for name in _ASKED}}
-        network = {"velocity": True} if self.velocity else {}
-        found = []
-        for seed in self.seed:
-            for name in self.method:
-                method = learned_named(name)
-                config = training_config(method, {**asked, "seed": seed}, network)
-                found.append(TrainingTask(name, config, self.models(seed) / method.model, self.demonstrations()))
-        return found
+        self._check_clone()
+        return [self._task(name, seed) for seed in self.seed for name in self.method]
+
+    def _check_clone(self) -> None:
+        if self.clone is not None and not any(learned_named(name).begins_with for name in self.method):
+            raise ValueError(f"clone is what ppo-from-clone begins with, got {self.clone} for {' '.join(self.method)}")
+
+    def _task(self, name: str, seed: int) -> TrainingTask | RewardTask:
+        method, scenarios = learned_named(name), self.scenarios()
+        folder = self.models(seed) / method.model
+        if name in REWARDED:
+            clone = str(self.clone) if self.clone is not None and method.begins_with else None
+            config = ppo_config(method, radio=self.radio, reward=self.reward, clone=clone)
+            return RewardTask(name, config, self.decisions, seed, scenarios, folder)
+        asked = {"scenarios": scenarios, "seed": seed, **{name: getattr(self, name) for name in _ASKED}}
+        demonstrated = training_config(method, asked, {"velocity": True} if self.velocity else {})
+        return TrainingTask(name, demonstrated, folder, self.demonstrations())
 
     def demonstrations(self) -> Path:
         """Where the expert's episodes go."""
@@ -128,7 +148,7 @@ class TrainSettings:
 def main(argv: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     try:
-        settings = parsed(TrainSettings, argv, partial(choices, LEARNED))
+        settings = parsed(TrainSettings, argv, partial(choices, (*LEARNED, *REWARDED)))
         import_whole("policies.model_folder")
         tasks = settings.tasks()
         for task in tasks:
@@ -153,13 +173,13 @@ def _all_scored(settings: TrainSettings, scoring: Sequence[Settings]) -> int:
     return 0
 
 
-def train_all(settings: TrainSettings, tasks: Sequence[TrainingTask]) -> None:
+def train_all(settings: TrainSettings, tasks: Sequence[TrainingTask | RewardTask]) -> None:
     """Record the expert once for all that learn from it, then train side by side, with one progress bar."""
     from baselines.workers import workers
 
-    shared, folder = any(task.config.learns_from_shared for task in tasks), settings.demonstrations()
+    shared, folder = any(task.learns_from_shared for task in tasks), settings.demonstrations()
     scenarios = settings.scenarios() if shared else ()
-    total = settings.episodes * len(scenarios) + sum(task.config.work() for task in tasks)
+    total = settings.episodes * len(scenarios) + sum(task.work() for task in tasks)
     with (
         workers(min(settings.jobs, max(len(tasks), len(scenarios)))) as (pool, progress),
         Progress(total, "training") as bar,
@@ -191,7 +211,7 @@ def _record(folder: Path, scenario: str, episodes: int) -> None:
     record_demonstrations(folder, scenario, episodes, tell)
 
 
-def _train(task: TrainingTask) -> None:
+def _train(task: TrainingTask | RewardTask) -> None:
     from baselines.workers import tell
 
     perform_training(task, tell)

@@ -1,4 +1,4 @@
-"""What a step is worth: a function of it, which all environments take as `reward=`.
+"""What a step is worth: a function of it, or the name of one of `REWARDS`, which all environments take as `reward=`.
 
 >>> def in_time(step: StepOutcome) -> float:
 ...     return progress(step) - 0.01  # each decision costs a little
@@ -12,6 +12,10 @@ from typing import Any
 
 from cad_env.checks import ConfigError, did_you_mean
 from cad_env.simulation.simulation import FINAL_REWARD, Simulation
+from cad_env.types import COLLISION, STEP, SUCCESS
+
+COLLISION_COST = 2.0  # of the rewards that put safety first: that of one collision, in arrivals
+SECOND_COST = 0.02  # of a second in `time-and-safety`: waiting until time is up (40 s) costs 0.8 arrivals
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,21 @@ def progress(step: StepOutcome) -> float:
     return step.progress + FINAL_REWARD.get(step.outcome, 0.0)
 
 
-REWARDS: dict[str, Reward] = {"progress": progress}
+def safety_first(step: StepOutcome) -> float:
+    """The share of the way that was covered, +1 on arrival, -2 on a collision."""
+    return step.progress + (step.outcome == SUCCESS) - COLLISION_COST * (step.outcome == COLLISION)
+
+
+def time_and_safety(step: StepOutcome) -> float:
+    """As `safety_first`, and -0.02 for every second: who cannot but wait for time to pass pays for it too."""
+    return safety_first(step) - SECOND_COST * STEP
+
+
+REWARDS: dict[str, Reward] = {
+    "progress": progress,
+    "safety-first": safety_first,
+    "time-and-safety": time_and_safety,
+}
 
 
 def reward_named(given: Any) -> Reward:

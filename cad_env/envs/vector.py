@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cad_env.checks import check_seed, check_switch, check_whole
+from cad_env.envs.hold import checked_hold
 from cad_env.envs.rewards import Reward, ego_step, progress, reward_named
 from cad_env.envs.single import as_array, check_scenario_of_id, checked_options
 from cad_env.lidar.config import space_with
@@ -31,7 +32,8 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
     Keyword arguments: those of CADEnv but `config` and `render_mode`; `scenario` may also be a list of them, which the
     scenes take in turn. `autoreset_mode` is one of Gymnasium's ("NextStep", "SameStep", "Disabled"), `copy=False`
     hands out the same arrays at every step; `max_episode_steps` ends episodes before their time is up, as Gymnasium's
-    TimeLimit does (None or -1: it does not). Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
+    TimeLimit does (None or -1: it does not). With `hold=k` a decision holds for k steps of 0.1 s, or until the episode
+    ends, and earns their sum, as in `HoldDecision`. Options of `reset`: `hazard`, and `reset_mask`, (num_envs,) bools.
 
     >>> envs = CADVectorEnv(num_envs=3, radio="dsrc")
     >>> observations, infos = envs.reset(seed=1, options={"hazard": True})
@@ -52,8 +54,10 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
         object_lists: bool = False,
         reward: str | Reward = "progress",
         max_episode_steps: int | None = None,
+        hold: int = 1,
         **options: Any,
     ) -> None:
+        self.hold = checked_hold(hold)
         self.num_envs = num_envs = check_whole("num_envs", num_envs, 1)
         self.copy, self._object_lists = check_switch("copy", copy), check_switch("object_lists", object_lists)
         self._reward = reward_named(reward)
@@ -110,21 +114,38 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
         over = self._over.copy()
         if self.autoreset_mode == AutoresetMode.DISABLED and over.any():
             raise RuntimeError(f"the episodes of the scenes {np.flatnonzero(over).tolist()} are over: reset them first")
-        going = np.flatnonzero(~over)
-        before = self._progress(going)
-        self.batch.step(going, chosen[going])
-        self._decisions[going] += 1
-        earned = self._earned(going, chosen, before)
+        rewards = self._held(np.flatnonzero(~over), chosen)
         for place in np.flatnonzero(over).tolist():
             self._start(place)
-        rewards, outcomes = self.batch.rewards.copy(), self.batch.outcomes
-        if earned is not None:
-            rewards = earned
-        truncations = self._decisions >= self._limit
-        terminations = (outcomes == SUCCEEDED) | (outcomes == COLLIDED)
+        terminations, truncations = self._ended(), self._decisions >= self._limit
         self._over = terminations | truncations
         final = self._begun_anew() if self.autoreset_mode == AutoresetMode.SAME_STEP and self._over.any() else {}
         return self._observations(), rewards, terminations, truncations, {**final, **self._infos(self._everywhere)}
+
+    def _held(self, going: Ints, chosen: Ints) -> Floats:
+        """Decide in the scenes `going` and let it hold: what each scene earned, (num_envs,)."""
+        total = np.zeros(self.num_envs)
+        for _ in range(self.hold):
+            total[going] += self._played(going, chosen)
+            going = going[~(self._ended() | (self._decisions >= self._limit))[going]]
+            if not len(going):
+                break
+        return total
+
+    def _played(self, going: Ints, chosen: Ints) -> Floats:
+        """Let 0.1 s pass in the scenes `going` (n,): what they earned, (n,)."""
+        before = self._progress(going)
+        self.batch.step(going, chosen[going])
+        self._decisions[going] += 1
+        if self._reward is progress:  # which the compiled step has computed already
+            return self.batch.rewards[going]
+        return self._earned(going, chosen, before)
+
+    def _ended(self) -> Bools:
+        """(num_envs,) True where the ego has arrived or collided."""
+        outcomes = self.batch.outcomes
+        ended: Bools = (outcomes == SUCCEEDED) | (outcomes == COLLIDED)
+        return ended
 
     def _progress(self, going: Ints) -> list[float]:
         """m along their routes, of the egos of some scenes; nothing where no reward of its own asks for it."""
@@ -132,14 +153,12 @@ class CADVectorEnv(CopiedWhole, VectorEnv[Observation, Ints, Any]):
             return []
         return [float(self.batch.simulations[place].world.progress[0]) for place in going.tolist()]
 
-    def _earned(self, going: Ints, chosen: Ints, before: list[float]) -> Floats | None:
-        """(num_envs,) by a reward of its own; None by the usual one, which the compiled step has computed already."""
-        if self._reward is progress:
-            return None
-        earned = np.zeros(self.num_envs)
-        for place, start in zip(going.tolist(), before, strict=True):
-            earned[place] = self._reward(ego_step(self.batch.simulations[place], int(chosen[place]), start))
-        return earned
+    def _earned(self, going: Ints, chosen: Ints, before: list[float]) -> Floats:
+        """(n,) by a reward of its own."""
+        places = zip(going.tolist(), before, strict=True)
+        return np.array(
+            [self._reward(ego_step(self.batch.simulations[k], int(chosen[k]), start)) for k, start in places]
+        )
 
     def _begun_anew(self) -> dict[str, Any]:
         """Start the scenes that are over; what there was to see and to say at their end."""

@@ -1,75 +1,71 @@
-"""Reinforcement learning from scratch: PPO of Stable-Baselines3 on the observations and decisions of the others.
+"""Reinforcement learning: PPO of Stable-Baselines3 on the observations of the others, from scratch or from a clone.
 
-Schulman, Wolski, Dhariwal, Radford and Klimov, "Proximal policy optimization algorithms", 2017. The actor is the
-paper's network, so what is saved is a model as any other; the critic, a small network on the same embedding, is
-forgotten. The reward is the environment's own. Training goes in parts of `PART` decisions: a killed run resumes
-after the last one it finished. Each part draws its random numbers from (seed, part), so stopping changes nothing.
+Schulman, Wolski, Dhariwal, Radford and Klimov, "Proximal policy optimization algorithms", 2017. The actor is a graph
+network of `policies.stgraph`, so what is saved is a model as any other; the critic, a small network on the same
+embedding, is forgotten. A decision holds for half a second and at first leans towards going: by chance alone the ego
+would stand still, as a brake takes three times what going adds, and never meet what it must learn of. Training goes in
+parts of `PART` decisions: a killed run resumes after the last one it finished. Each part draws its random numbers from
+(seed, part), so stopping changes nothing. After each part the network drives validation episodes, ten decisions a
+second as it will be scored, and the part that is worth most is kept.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
-from gymnasium import spaces
 from stable_baselines3 import PPO
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import set_random_seed
-from torch import Tensor, nn
 
-from cad_env.checks import check_numbers, check_path, check_seed, check_several, check_whole
-from cad_env.config import radio_config
+from cad_env.checks import check_path, check_seed, check_several, check_whole
+from cad_env.envs.vector import CADVectorEnv
 from cad_env.scenarios import SHIPPED, scenario_named
-from policies.layers import Linear
 from policies.model_folder import SavedModel, load_model, save_model
 from policies.spec import fitting
-from policies.stgraph.compiled.module import fused_embedding
-from policies.stgraph.network import StGraphConfig, StGraphNet
-from policies.training.cloning import load_state, save_state
-from policies.training.config import small_seed
-from policies.training.sb3_env import Scenes
+from policies.stgraph.policy import StGraphPolicy
+from policies.training.cloning import drive_episodes, load_state, save_state
+from policies.training.config import NOMINAL, VALIDATION_SEEDS, small_seed
+from policies.training.ppo_config import ROLLOUT, SCENES_AT_ONCE, PpoConfig
+from policies.training.sb3_env import CADVecEnv
+from policies.training.sb3_policy import (
+    Kept,
+    actor_of,
+    begin_with,
+    freeze_actor,
+    graph_model,
+    lean_towards_go,
+    policy_settings,
+)
+from policies.training.validation_log import Log, summary
 
-SCENES_AT_ONCE, ROLLOUT = 48, 64  # scenes at once, and decisions in each of them between two updates
-PART = 8 * SCENES_AT_ONCE * ROLLOUT  # decisions between two checkpoints
-CRITIC = (32, 32)  # widths of the critic on top of the embedding
+PART = 4 * SCENES_AT_ONCE * ROLLOUT  # decisions between two checkpoints
+THRESHOLD = 0.5  # brake where that is the likelier decision
+PARTS_LOG = "metrics.csv"  # what the network was worth after each part
 
 
 @dataclass(frozen=True)
-class PpoConfig:
-    """How the network learns; the numbers are customary ones, and the horizon is some seconds at ten decisions each."""
+class _Run:
+    """What the parts of a training run work with."""
 
-    radio: str = "dsrc"  # none: without sharing
-    learning_rate: float = 1e-3
-    discount: float = 0.99
-    advantage: float = 0.95  # lambda of generalised advantage estimation
-    clip: float = 0.2
-    entropy: float = 0.005
-    epochs: int = 4
-    batch: int = 512
-    network: StGraphConfig = field(default_factory=StGraphConfig)
+    folder: Path
+    config: PpoConfig
+    scenarios: tuple[str, ...]
+    seed: int
+    parts: int  # in all
+    model: PPO
+    log: Log  # of every part
 
-    def __post_init__(self) -> None:
-        radio_config(self.radio)
-        limits = {
-            "learning_rate": (1e-7, 1.0), "discount": (0.0, 1.0), "advantage": (0.0, 1.0), "clip": (0.0, 1.0),
-            "entropy": (0.0, 1.0), "epochs": (1, 100), "batch": (2, SCENES_AT_ONCE * ROLLOUT),
-        }  # fmt: skip
-        check_numbers(self, "", limits)
+    def checkpoint(self, part: int) -> Path:
+        """Where the learner is kept as it was after a part."""
+        return self.folder / "checkpoints" / f"part_{part}.safetensors"
 
+    def keep(self, part: int) -> None:
+        """Write the learner as it is now."""
+        save_state(self.checkpoint(part), Kept(self.model.policy), self.model.policy.optimizer)  # type: ignore[arg-type]
 
-class Embedding(BaseFeaturesExtractor):
-    """The paper's embedding of the scene and the command: what its decision, and here the critic too, is made of."""
-
-    def __init__(self, space: spaces.Dict, config: StGraphConfig, seed: int) -> None:
-        super().__init__(space, config.head_width + int(space["command"].shape[0]))  # type: ignore[index]
-        self.network = StGraphNet(config, seed)
-        self.network.decide = nn.Sequential()  # the actor of the library takes its place
-
-    def forward(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """(B, head_width + C)."""
-        embedded = fused_embedding(self.network, observation)
-        return torch.cat([embedded, observation["command"].to(embedded.dtype)], dim=1)
+    def load(self, part: int) -> None:
+        """Go back to the learner as it was after a part."""
+        load_state(self.checkpoint(part), Kept(self.model.policy), self.model.policy.optimizer)  # type: ignore[arg-type]
 
 
 def train_ppo(
@@ -87,70 +83,90 @@ def train_ppo(
     config = config or PpoConfig()
     folder, steps, seed = check_path("folder", folder), check_whole("steps", steps, 1, 10**9), check_seed("seed", seed)
     scenarios = check_several("scenarios", scenarios, lambda _, name: scenario_named(name).name)
-    config = replace(config, network=fitting(config.network, scenarios))
+    clone = None if config.clone is None else graph_model(config.clone)
+    config = replace(config, network=fitting(config.network if clone is None else clone.network.config, scenarios))
     parts = -(-steps // PART)
     if (folder / "config.json").exists():
         load_model(folder)
         advance(parts * PART)
         return
     torch.set_num_threads(1)
-    model = _learner(Scenes(SCENES_AT_ONCE, tuple(scenarios), config.radio, config.network), config, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    model = _learner(_scenes(config, scenarios), config, seed, clone)
+    run = _Run(folder, config, tuple(scenarios), seed, parts, model, Log(folder / PARTS_LOG))
     for part in range(parts):
-        checkpoint = folder / "checkpoints" / f"part_{part}.safetensors"
-        if checkpoint.exists():
-            if not (folder / "checkpoints" / f"part_{part + 1}.safetensors").exists():
-                load_state(checkpoint, _Kept(model.policy), model.policy.optimizer)  # type: ignore[arg-type]
-        else:
-            _learn(model, seed, part)
-            save_state(checkpoint, _Kept(model.policy), model.policy.optimizer)  # type: ignore[arg-type]
+        _do_part(run, part)
         advance(PART)
-    notes = {"ppo": asdict(config), "decisions": parts * PART, "seed": seed, "scenarios": list(scenarios)}
-    save_model(folder, SavedModel(actor_of(model, config.network), 0.5, notes))
+    _keep_best(run)
 
 
-def _learner(scenes: Scenes, config: PpoConfig, seed: int) -> PPO:
-    """The algorithm around a new network, of which `seed` draws the first weights."""
-    set_random_seed(small_seed(seed))
-    wide = config.network.mlp_width
-    return PPO(
-        "MultiInputPolicy", scenes, learning_rate=config.learning_rate, n_steps=ROLLOUT, batch_size=config.batch,
-        n_epochs=config.epochs, gamma=config.discount, gae_lambda=config.advantage, clip_range=config.clip,
-        ent_coef=config.entropy, device="cpu",
-        policy_kwargs={
-            "features_extractor_class": Embedding,
-            "features_extractor_kwargs": {"config": config.network, "seed": small_seed(seed)},
-            "net_arch": {"pi": [wide, wide], "vf": list(CRITIC)},
-            "activation_fn": nn.ReLU,
-        },
+def _scenes(config: PpoConfig, scenarios: Sequence[str]) -> CADVecEnv:
+    """The scenes to learn in."""
+    return CADVecEnv(
+        SCENES_AT_ONCE, config.network.reads, scenario=scenarios, radio=config.radio, hold=config.hold,
+        reward=config.reward, coverage=config.network.coverage,
     )  # fmt: skip
 
 
-class _Kept(nn.Module):
-    """The parts of a policy of the library, each once: there its embedding has three names."""
+def _learner(scenes: CADVecEnv, config: PpoConfig, seed: int, clone: SavedModel | None = None) -> PPO:
+    """The algorithm around a network: a new one, of which `seed` draws the first weights, or that of a clone."""
+    set_random_seed(small_seed(seed))
+    model = PPO(
+        "MultiInputPolicy", scenes, learning_rate=config.learning_rate, n_steps=ROLLOUT, batch_size=config.batch,
+        n_epochs=config.epochs, gamma=config.discount, gae_lambda=config.advantage, clip_range=config.clip,
+        ent_coef=config.entropy, device="cpu", policy_kwargs=policy_settings(config.network, small_seed(seed)),
+    )  # fmt: skip
+    if clone is not None:
+        begin_with(model, clone)
+    else:
+        lean_towards_go(model, config.go_bias)
+    return model
 
-    def __init__(self, policy: Any) -> None:
-        super().__init__()
-        self.embedding, self.heads = policy.features_extractor, policy.mlp_extractor
-        self.action, self.value = policy.action_net, policy.value_net
+
+def _do_part(run: _Run, part: int) -> None:
+    """Learn one part and find what it is worth, or what of that is not done yet."""
+    if not run.checkpoint(part).exists():
+        _learn(run.model, run.config, run.seed, part, run.parts)
+        run.keep(part)
+    elif not run.checkpoint(part + 1).exists() or not run.log.of(part, 0, THRESHOLD):
+        run.load(part)
+    _validate(run, part)
 
 
-def _learn(model: PPO, seed: int, part: int) -> None:
+def _learn(model: PPO, config: PpoConfig, seed: int, part: int, parts: int) -> None:
     """One part, on episodes of its own."""
     set_random_seed(small_seed(seed + 1_000_003 * part))  # the library draws from global chance
     scenes = model.get_env()
     assert scenes is not None
     scenes.seed(seed + 1_000_003 * part)
     model.set_env(scenes, force_reset=True)
+    fallen = (1.0 - config.final_rate) * part / max(parts - 1, 1)
+    model.lr_schedule = lambda _: config.learning_rate * (1.0 - fallen)
+    freeze_actor(model, part < config.critic_parts, embedding=config.clone is not None)
     model.learn(PART, reset_num_timesteps=False)
 
 
-def actor_of(model: PPO, config: StGraphConfig) -> StGraphNet:
-    """The paper's network with the weights of the actor."""
-    policy: Any = model.policy
-    network = StGraphNet(config)
-    network.load_state_dict(policy.features_extractor.network.state_dict(), strict=False)
-    learned = [layer for layer in policy.mlp_extractor.policy_net if isinstance(layer, nn.Linear)]
-    own = [layer for layer in network.decide if isinstance(layer, Linear)]
-    for to, layer in zip(own, [*learned, policy.action_net], strict=True):
-        to.load_state_dict(layer.state_dict())
-    return network
+def _validate(run: _Run, part: int) -> None:
+    """Note what the network is worth in closed loop, in every scenario of which that is not yet known."""
+    config, known = run.config, {row["scenario"] for row in run.log.of(part, 0, THRESHOLD)}
+    policy = StGraphPolicy(actor_of(run.model, config.network), THRESHOLD)
+    seeds = range(VALIDATION_SEEDS, VALIDATION_SEEDS + config.validation)
+    for scenario in (name for name in run.scenarios if config.validation and name not in known):
+        envs = CADVectorEnv(32, scenario=scenario, radio=config.radio, coverage=config.network.coverage)
+        found = summary(drive_episodes(policy, envs, seeds, lambda done: None))
+        which = {"round": part, "segment": 0, "loss": 0.0, "threshold": THRESHOLD}
+        run.log.add({**which, "scenario": scenario, "condition": NOMINAL, **found})
+
+
+def _keep_best(run: _Run) -> None:
+    """Save the part that was worth most as the model, or the last one where none was validated."""
+    config, ranked = run.config, run.log.ranked()
+    clone = None if config.clone is None else Path(config.clone).name  # not where it was on this machine
+    best = ranked[0][0] if ranked else run.parts - 1
+    run.load(best)
+    notes = {
+        "ppo": {**asdict(config), "clone": clone}, "decisions": run.parts * PART, "seed": run.seed,
+        "scenarios": list(run.scenarios),
+        "chosen": run.log.note(*ranked[0]) if ranked else {"round": best},
+    }  # fmt: skip
+    save_model(run.folder, SavedModel(actor_of(run.model, config.network), THRESHOLD, notes))

@@ -24,7 +24,6 @@ from baselines.methods import (
     method_named,
     shipped_models,
 )
-from baselines.paper.command import ReproduceSettings, plan_of
 from baselines.training.command import TrainSettings
 from cad_env.checks import ConfigError
 from cad_env.envs.single import CADEnv
@@ -101,12 +100,8 @@ def test_a_method_without_its_model_says_how_to_train_it(tmp_path: Path) -> None
         policy_of("gat", tmp_path)
     with pytest.raises(ConfigError, match="leave out --models for the model that ships"):
         policy_of("stgraph-own", tmp_path)
-    with pytest.raises(
-        ConfigError, match=r"^ppo needs training, .*: `python reproduce\.py --method ppo --out runs/ppo`"
-    ):
+    with pytest.raises(ConfigError, match=r"^ppo needs training, .*: `python train\.py --method ppo --out runs/ppo`"):
         job_of(Settings(), "left_turn", "ppo")
-    with pytest.raises(ConfigError, match=r"ppo learns by reward, .*`python reproduce\.py"):
-        learned_named("ppo")
     with pytest.raises(ConfigError, match="expert is not learned: choose among stgraph, "):
         learned_named("expert")
 
@@ -115,13 +110,9 @@ def test_a_method_without_its_model_says_how_to_train_it(tmp_path: Path) -> None
 def test_the_command_that_trains_a_method_is_one_that_exists(name: str) -> None:
     command, where = re.fullmatch(r"`python (.*)` trains it; then --models (.*)", how_to_train(name)).groups()  # type: ignore[union-attr]
     script, *words = shlex.split(command)
-    if script == "train.py":
-        settings = cli.parsed(TrainSettings, words)
-        assert (settings.method, settings.models(0)) == ((name,), Path(where))
-        assert [task.folder for task in settings.tasks()] == [Path(where) / folder_of(name)]
-    else:
-        plan = plan_of(cli.parsed(ReproduceSettings, words))
-        assert (script, plan.rows, plan.models(0)) == ("reproduce.py", (name,), Path(where))
+    settings = cli.parsed(TrainSettings, words)
+    assert (script, settings.method, settings.models(0)) == ("train.py", (name,), Path(where))
+    assert [task.folder for task in settings.tasks()] == [Path(where) / folder_of(name)]
 
 
 def test_the_command_names_scenarios_that_do_not_ship() -> None:

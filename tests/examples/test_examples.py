@@ -36,6 +36,12 @@ def _as_many_threads_as_before():
 
 
 @pytest.mark.usefixtures("_as_many_threads_as_before")
+def test_ppo_learns_to_drive_the_ego():
+    table = example("ppo_sb3").main(steps=256, episodes=2, scenes=4).splitlines()
+    assert [line.split()[1] for line in table[2:] if " all " in line] == ["before", "after"]
+
+
+@pytest.mark.usefixtures("_as_many_threads_as_before")
 def test_parameter_shared_ppo_learns_through_supersuit():
     pytest.importorskip("supersuit")
     ppo = example("ppo_parameter_sharing")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cad_env.envs.parallel import CADParallelEnv
-from cad_env.envs.rewards import StepOutcome, progress
+from cad_env.envs.rewards import COLLISION_COST, REWARDS, SECOND_COST, StepOutcome, progress
 from cad_env.envs.single import CADEnv
 from cad_env.envs.vector import CADVectorEnv
 from cad_env.types import BRAKE, GO, MAX_STEPS
@@ -110,6 +110,36 @@ def test_side_by_side_it_is_as_alone(mode: str) -> None:
 def test_a_wrong_reward_is_refused() -> None:
     for make in (CADEnv, CADParallelEnv, CADVectorEnv):
         with pytest.raises(
-            ValueError, match="reward must be a function of a StepOutcome or one of progress, got 'fast'"
+            ValueError, match=r"reward must be a function of a StepOutcome or one of progress, .*, got 'fast'"
         ):
             make(reward="fast")
+
+
+def ended(outcome: str | None) -> StepOutcome:
+    """A step on which a quarter of the way was covered."""
+    return StepOutcome(GO, 5.0, 0.25, 8.0, 3.0, outcome, True, 4.0, 100)
+
+
+def test_named_rewards_pay_what_they_say() -> None:
+    assert [REWARDS["progress"](ended(outcome)) for outcome in (None, "success", "collision", "timeout")] == [
+        0.25, 1.25, -0.75, 0.25,
+    ]  # fmt: skip
+    safe = [REWARDS["safety-first"](ended(outcome)) for outcome in (None, "success", "collision", "timeout")]
+    assert safe == [0.25, 1.25, 0.25 - COLLISION_COST, 0.25]
+    timely = [REWARDS["time-and-safety"](ended(outcome)) for outcome in (None, "success", "collision", "timeout")]
+    assert timely == [pay - 0.1 * SECOND_COST for pay in safe]
+
+
+@pytest.mark.parametrize("name", REWARDS)
+def test_all_environments_take_a_reward_by_its_name(name: str) -> None:
+    envs, alone = CADVectorEnv(1, reward=name), CADEnv(reward=name)
+    fleet, steps = CADParallelEnv(reward=name, ranges=FLEET["ranges"]), []
+    watched = CADEnv(reward=lambda step: steps.append(step) or 0.0)
+    for env in (envs, alone, fleet, watched):
+        env.reset(seed=SEED)
+    for action in (GO, BRAKE, GO):
+        watched.step(action)
+        wanted = pytest.approx(REWARDS[name](steps[-1]), abs=1e-12)
+        assert alone.step(action)[1] == wanted
+        assert envs.step(np.array([action]))[1][0] == wanted
+        assert "cav_0" in fleet.step(dict.fromkeys(fleet.agents, action))[1]

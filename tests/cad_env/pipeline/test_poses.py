@@ -65,7 +65,7 @@ def test_a_place_is_off_along_the_way_only() -> None:
 
 @pytest.mark.parametrize("name", ["rtk", "white", "standard", "urban"])
 def test_a_fix_is_as_accurate_as_it_states(name: str) -> None:
-    fix, stated, _ = errors(name, range(60), 40)
+    fix, stated, _ = errors(name, range(30), 40)
     assert 0.6 < math.sqrt(np.mean((fix[:, :2] / stated[:, :1]) ** 2)) < 1.3
     assert 0.6 < math.sqrt(np.mean((wrapped(fix[:, 2]) / stated[:, 1]) ** 2)) < 1.3
 

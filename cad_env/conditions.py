@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cad_env.checks import ConfigError, check_numbers, check_text, did_you_mean, settle
-from cad_env.config import RadioConfig, knows_its_names
+from cad_env.config import PoseConfig, RadioConfig, SensorConfig, knows_its_names, pose_config
 from cad_env.scenarios.ranges import Traffic
 
 EVERY_CONDITION = "all"  # the word for all of CONDITIONS
@@ -18,6 +18,8 @@ WITNESS = "a witness is always connected"
 NOBODY = "nobody but the ego is connected"
 _WORDS = ("name", "reason")  # fields that change nothing about an episode
 _RADIO = ("loss", "burst", "delay")
+_SENSOR = ("false_alarm", "partial", "class_error")
+_RARE = ("pose", *_SENSOR)  # fields that are named among the settings only where they are set
 
 
 @knows_its_names("condition setting")
@@ -37,6 +39,10 @@ class Condition:
     loss: float | None = None  # probability that a message is missed; None: the radio's own
     burst: float | None = None  # mean slots in a row that are missed of a sender; None: the radio's own
     delay: float | None = None  # s until a message arrives; None: the radio's own
+    pose: str | None = None  # what vehicles know of where they are, one of POSE_PRESETS; None: all of it
+    false_alarm: float | None = None  # of a SensorConfig, as the next two; None: the sensor's own
+    partial: float | None = None
+    class_error: float | None = None
 
     def __post_init__(self) -> None:
         for each in _WORDS:
@@ -47,19 +53,28 @@ class Condition:
             raise ConfigError(
                 f"penetration draws each connected vehicle by itself: leave out collaborators, got {self.collaborators}"
             )
-        radio = self.radio(RadioConfig())
-        for each in _RADIO:
+        radio, sensor = self.radio(RadioConfig()), self.sensor(SensorConfig())
+        for each in (*_RADIO, *_SENSOR):
             if getattr(self, each) is not None:
-                settle(self, each, getattr(radio, each))
+                settle(self, each, getattr(radio if each in _RADIO else sensor, each))
+        if self.pose is not None:
+            pose_config(check_text("condition pose", self.pose))
 
     def radio(self, usual: RadioConfig) -> RadioConfig:
         """A radio with this loss, burst and delay, as far as the condition names them."""
         chosen = {each: getattr(self, each) for each in _RADIO}
         return replace(usual, **{each: value for each, value in chosen.items() if value is not None})
 
-    def options(self, radio: RadioConfig) -> dict[str, Any]:
-        """The options of an environment (`CADEnv`, `setup_from`) that this condition decides, over a radio."""
+    def sensor(self, usual: SensorConfig) -> SensorConfig:
+        """A sensor with these errors, as far as the condition names them."""
+        chosen = {each: getattr(self, each) for each in _SENSOR}
+        return replace(usual, **{each: value for each, value in chosen.items() if value is not None})
+
+    def options(self, radio: RadioConfig, sensor: SensorConfig | None = None) -> dict[str, Any]:
+        """The options of an environment (`CADEnv`, `setup_from`) that this condition decides, over radio and sensor."""
         return {
+            "sensor": self.sensor(sensor or SensorConfig()),
+            "pose": PoseConfig() if self.pose is None else pose_config(self.pose),
             "traffic": self.traffic,
             "penetration": self.penetration,
             "ranges": {} if self.collaborators is None else {"collaborators": (self.collaborators,) * 2},
@@ -74,13 +89,14 @@ class Condition:
     @property
     def settings(self) -> dict[str, Any]:
         """All that moves an episode, by name."""
-        return {name: value for name, value in asdict(self).items() if name not in _WORDS}
+        said = {name: value for name, value in asdict(self).items() if name not in _WORDS}
+        return {name: value for name, value in said.items() if value is not None or name not in _RARE}
 
     @property
     def words(self) -> str:
         """All of it in words: traffic; who is connected; what is not the radio's own."""
         traffic = f"{'no' if self.traffic == 'none' else self.traffic} traffic"
-        return "; ".join([traffic, self._connected(), *self._on_the_way()])
+        return "; ".join([traffic, self._connected(), *self._on_the_way(), *self._sensed()])
 
     def _connected(self) -> str:
         if 0 in (self.penetration, self.collaborators):
@@ -98,6 +114,16 @@ class Condition:
             yield f"losses in runs of {self.burst:g}"
         if self.delay is not None:
             yield f"messages {self.delay:g} s late"
+
+    def _sensed(self) -> Iterable[str]:
+        if self.pose is not None:
+            yield f"positions: {self.pose}"
+        if self.false_alarm is not None:
+            yield f"false alarms at {100 * self.false_alarm:g} % of what is seen"
+        if self.partial is not None:
+            yield f"detections {100 * self.partial:g} % drawn to what is seen of a vehicle"
+        if self.class_error is not None:
+            yield f"{100 * self.class_error:g} % of the classes wrong"
 
 
 CONDITIONS: Mapping[str, Condition] = MappingProxyType(
@@ -119,6 +145,21 @@ CONDITIONS: Mapping[str, Condition] = MappingProxyType(
             Condition("one-collaborator", "everything hangs on one sender, the witness", collaborators=1),
             Condition("dense", "more vehicles that hide each other, and more that send", traffic="dense"),
             Condition("dense-penetration-10", "a busy road with few that send", traffic="dense", penetration=0.1),
+            Condition("gnss-white-1m", "fixes 1 m and 1 degree off, anew in every frame", pose="white"),
+            Condition("gnss-standard", "a receiver without corrections, in the open", pose="standard"),
+            Condition("gnss-urban", "a receiver between houses, with outages", pose="urban"),
+            Condition("gnss-denied", "no fix at all", pose="denied"),
+            Condition("false-alarms", "vehicles that are not there", false_alarm=0.1),
+            Condition("partial-views", "a vehicle of which a part is seen is not where it seems", partial=1.0),
+            Condition(
+                "urban-everything",
+                "all of it at once",
+                penetration=0.5,
+                loss=0.2,
+                delay=0.2,
+                pose="urban",
+                false_alarm=0.1,
+            ),
         )
     }
 )

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 from cad_env.checks import ConfigError as ConfigError  # packages from outside take these two from here
-from cad_env.checks import check_numbers, did_you_mean, settle
+from cad_env.checks import check_numbers, check_switch, did_you_mean, settle
 from cad_env.checks import check_range as check_range
 from cad_env.types import FRAMES, STEP
 
@@ -80,11 +80,15 @@ class SensorConfig:
     miss: float = 0.05  # probability that a visible object is not reported in a frame
     gnss_noise: float = 0.0  # m, standard deviation of a vehicle's own position fix
     gnss_yaw_noise: float = 0.0  # rad, standard deviation of its heading fix
+    false_alarm: float = 0.0  # probability that a visible object gives a second detection, at a corner of its box
+    partial: float = 0.0  # by how much a detection is drawn to the middle of what is seen of an object, a share
+    class_error: float = 0.0  # probability that a detection is of the wrong class
 
     def __post_init__(self) -> None:
         limits = {
             "range": (1.0, 500.0), "noise": (0.0, 10.0), "miss": (0.0, 1.0),
-            "gnss_noise": (0.0, 50.0), "gnss_yaw_noise": (0.0, math.pi),
+            "gnss_noise": (0.0, 50.0), "gnss_yaw_noise": (0.0, math.pi), "false_alarm": (0.0, 1.0),
+            "partial": (0.0, 1.0), "class_error": (0.0, 1.0),
         }  # fmt: skip
         check_numbers(self, "sensor", limits)
 
@@ -152,3 +156,82 @@ def radio_config(radio: str | RadioConfig) -> RadioConfig:
         choices = f"choose one of {', '.join(RADIO_PRESETS)} or give a RadioConfig"
         raise ConfigError(f"unknown radio {radio!r}: {choices}{did_you_mean(radio, RADIO_PRESETS)}")
     return RADIO_PRESETS[radio]
+
+
+PLACINGS = ("fixes", "nearest", "single", "registered")  # how a receiver places what a sender says
+
+
+@knows_its_names("pose setting")
+@dataclass(frozen=True)
+class PoseConfig:
+    """How well a vehicle knows how it has moved (odometry) and where it is (GNSS), and how it places what others say.
+
+    GNSS errors of a position are of each axis. A bias drifts: a first-order Gauss-Markov process with a time constant,
+    stationary from the start (Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems",
+    2013, sections 9 and 14). Outages are a two-state chain. Odometry errors are drawn once a vehicle and episode.
+    Without any error positions are exact, and everything is in the frame of the world.
+    """
+
+    bias: float = 0.0  # m, standard deviation of the slow error of a position fix
+    yaw_bias: float = 0.0  # rad, standard deviation of the slow error of a heading fix
+    bias_time: float = 30.0  # s, time constant of both
+    noise: float = 0.0  # m, standard deviation of the error of a position fix that is new in every frame
+    yaw_noise: float = 0.0  # rad, the same of a heading fix
+    outage: float = 0.0  # share of the time in which there is no fix
+    outage_time: float = 5.0  # s, mean length of an outage
+    denied: bool = False  # there never is a fix
+    start: float = 0.0  # m, standard deviation of where a vehicle without a fix takes itself to be along its way
+    scale: float = 0.0  # of the way, standard deviation of the error of the wheels' scale
+    yaw_rate: float = 0.0  # rad/s, standard deviation of the bias of the gyro
+    placing: str = "registered"  # one of PLACINGS
+
+    def __post_init__(self) -> None:
+        limits = {
+            "bias": (0.0, 50.0), "yaw_bias": (0.0, math.pi), "bias_time": (STEP, 1e4), "noise": (0.0, 50.0),
+            "yaw_noise": (0.0, math.pi), "outage": (0.0, 0.99), "outage_time": (STEP, 1e3), "start": (0.0, 50.0),
+            "scale": (0.0, 0.2), "yaw_rate": (0.0, 0.1),
+        }  # fmt: skip
+        check_numbers(self, "pose", limits)
+        settle(self, "denied", check_switch("pose denied", self.denied))
+        if not isinstance(self.placing, str) or self.placing not in PLACINGS:
+            near = did_you_mean(self.placing, PLACINGS)
+            raise ConfigError(f"pose placing must be one of {', '.join(PLACINGS)}, got {self.placing!r}{near}")
+
+    @property
+    def exact(self) -> bool:
+        """Whether nothing about a pose is ever wrong."""
+        errors = (self.bias, self.yaw_bias, self.noise, self.yaw_noise, self.outage, self.scale, self.yaw_rate)
+        return not self.denied and not any(errors)
+
+
+# Wheels are scaled to about 1 %, and a calibrated MEMS gyro drifts by less than 0.1 degree/s (Groves 2013, sections 4
+# and 6).
+_MOVES = PoseConfig(scale=0.01, yaw_rate=math.radians(0.05))
+# Orders of magnitude, in the open and between houses: data sheets of receivers say 0.01 m with corrections and 1.5 m
+# (half of the fixes, u-blox F9 and M10) without, and 0.3 degrees of a moving heading; multipath between houses is worse
+# and comes and goes with them (Groves 2013, section 10). "white": as much of either, but new in every frame.
+POSE_PRESETS = MappingProxyType(
+    {
+        "exact": PoseConfig(),
+        "rtk": replace(_MOVES, bias=0.02, yaw_bias=math.radians(0.2), noise=0.01, yaw_noise=math.radians(0.1)),
+        "white": replace(_MOVES, noise=1.0, yaw_noise=math.radians(1.0)),
+        "standard": replace(
+            _MOVES, bias=1.0, yaw_bias=math.radians(0.5), noise=0.2, yaw_noise=math.radians(0.2), start=1.0
+        ),
+        "urban": replace(
+            _MOVES, bias=2.0, yaw_bias=math.radians(2.0), bias_time=15.0, noise=0.5, yaw_noise=math.radians(0.5),
+            outage=0.2, outage_time=5.0, start=1.0,
+        ),
+        "denied": replace(_MOVES, denied=True, start=1.0),
+    }
+)  # fmt: skip
+
+
+def pose_config(pose: str | PoseConfig) -> PoseConfig:
+    """A preset by name, or the given configuration as it is."""
+    if isinstance(pose, PoseConfig):
+        return pose
+    if not isinstance(pose, str) or pose not in POSE_PRESETS:
+        choices = f"choose one of {', '.join(POSE_PRESETS)} or give a PoseConfig"
+        raise ConfigError(f"unknown pose {pose!r}: {choices}{did_you_mean(pose, POSE_PRESETS)}")
+    return POSE_PRESETS[pose]

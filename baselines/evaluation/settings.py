@@ -155,14 +155,10 @@ class Settings:
 
     def environment(self, scenario: str, condition: str | None = None) -> dict[str, Any]:
         """The options of the environment, for a method that shares all it can."""
-        return {
-            "scenario": scenario,
-            "sensor": SensorConfig(
-                noise=self.sensor_noise, gnss_noise=self.gnss_noise, gnss_yaw_noise=math.radians(self.gnss_yaw_noise)
-            ),
-            "depth": self.depth,
-            **self.met(condition).options(self._radio()),
-        }
+        sensor = SensorConfig(
+            noise=self.sensor_noise, gnss_noise=self.gnss_noise, gnss_yaw_noise=math.radians(self.gnss_yaw_noise)
+        )
+        return {"scenario": scenario, "depth": self.depth, **self.met(condition).options(self._radio(), sensor)}
 
     def radio_config(self) -> RadioConfig:
         """The preset with what these settings override."""

@@ -39,22 +39,24 @@ _SWITCHES = {
     "neighbour_vehicles_connected_lanes",
 }  # fmt: skip
 _SETUP = (
-    "scenario", "ranges", "traffic", "penetration", "sensor", "radio", "depth", "cloud", "coverage", "share", "codec",
+    "scenario", "ranges", "traffic", "penetration", "sensor", "radio", "pose", "depth", "cloud", "coverage", "share",
+    "codec",
 )  # fmt: skip
 
 
 class CADEnv(CopiedWhole, HighwayBase):
     """One ego among connected vehicles. Actions: 0 go (its driver drives on), 1 brake (6 m/s2, after 0.2 s).
 
-    Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset
-    name, RadioConfig or dict), `sensor` (SensorConfig or dict), `depth` (newest frames a message holds), `cloud`
-    (CloudConfig or dict: points are shared, not graphs), `coverage` (True: messages also say what was seen to be empty,
-    and the observation has the lanes on which somebody unseen may come), `traffic` (none, light or dense),
-    `penetration` (share of the vehicles that is connected, None: two to four), `ranges` (dict of what the scenario is
-    drawn from), `object_lists` (True adds to info what each connected vehicle tracks), `layers` (names of what pictures
-    show over highway-env's view), `share` and `codec` (cad_env.simulation.graph_exchange), `reward` (a function of a
-    step, cad_env.envs.rewards). By default the reward of a step is the share of the way to the goal covered in it, +1
-    on arrival, -1 on a collision. What is written into `config` later counts from the next `reset` on.
+    Keyword arguments, or the same names in highway-env's `config`: `scenario` (name or Scenario), `radio` (preset name,
+    RadioConfig or dict), `sensor` (SensorConfig or dict), `pose` (preset name, PoseConfig or dict: what vehicles know
+    of where they are), `depth` (newest frames a message holds), `cloud` (CloudConfig or dict: points are shared, not
+    graphs), `coverage` (True: messages also say what was seen to be empty, and the observation has the lanes on which
+    somebody unseen may come), `traffic` (none, light or dense), `penetration` (share of the vehicles that is connected,
+    None: two to four), `ranges` (dict of what the scenario is drawn from), `object_lists` (True adds to info what each
+    connected vehicle tracks), `layers` (names of what pictures show over highway-env's view), `share` and `codec`
+    (cad_env.simulation.graph_exchange), `reward` (a function of a step, cad_env.envs.rewards). By default the reward of
+    a step is the share of the way to the goal covered in it, +1 on arrival, -1 on a collision. What is written into
+    `config` later counts from the next `reset` on.
 
     >>> env = CADEnv(scenario="left_turn", radio="dsrc")
     >>> observation, info = env.reset(seed=1, options={"hazard": True})

@@ -10,8 +10,12 @@ A message stands alone; no receiver needs an earlier one. It holds the newest `d
         frames and height                                       two bytes: bit a is set if the track was seen `a`
                                                                 frames before the newest, bit 15 if its height varies
         x, then y, then z                                       each walks from the newest node to the oldest
-    in version 2, which places of which lanes are vouched for   see `intervals`
+    in versions 2 and 4, which places of which lanes are vouched for   see `intervals`
+    in versions 3 and 4, the pose of the sender                 see `stated_pose`
     CRC-32 of all before                                        four bytes
+
+In versions 1 and 2 positions are in the world; in versions 3 and 4 in the sender's own odometry frame, and the first
+track is its body in the newest frame.
 
 The first node of a walk is the difference to the first track's newest position, which itself is coded in full: the
 first track of a vehicle's graph is its own body, and what it sees is close. Each older node is the difference to what
@@ -24,11 +28,21 @@ A graph has one spelling and `decode` accepts no other, so what was accepted wou
 The CRC finds corruption. It is no authentication: anyone can write a message that is accepted.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part
 from cad_env.pipeline.graph_arrays import as_graph, empty_graph_arrays, graph_arrays
 from cad_env.pipeline.intervals import FORMAT_LANES, max_places_bytes, put_places, take_places
+from cad_env.pipeline.stated_pose import (
+    POSE_BYTES,
+    STATED,
+    StatedPose,
+    put_stated_pose,
+    stated_pose,
+    take_stated_pose,
+)
 from cad_env.pipeline.varint import (
     REACH,
     TRUNCATED,
@@ -48,11 +62,12 @@ from cad_env.pipeline.varint import (
     to_units,
     varies_along,
 )
-from cad_env.types import CAR, FRAMES, MAX_TRACKS, TRUCK, Bytes, Graph, GraphArrays, Ints
+from cad_env.types import CAR, FRAMES, MAX_TRACKS, TRUCK, Bytes, Floats, Graph, GraphArrays, Ints
 from cad_env.world.lanes import PLACES
 
 VERSION = 1
 WITH_PLACES = 2  # the version of a message that also says what its sender has seen to be empty
+WITH_POSE, WITH_POSE_AND_PLACES = 3, 4  # versions of a message in its sender's own frame, which states its pose
 FORMAT_TRACKS = 255  # that the format can count
 MAX_SENDER = 2**16 - 1
 MAX_TIME = 2**32 - 1  # ms
@@ -63,6 +78,7 @@ _RESOLUTION = 1  # cm
 _HEADER = 12  # bytes
 _CRC = 4  # bytes
 _START = np.int64(_HEADER)  # of a numpy type: numba compiles a function anew for every plain number in a call of it
+_NO_PLACES = np.zeros((0, PLACES), np.uint8)
 _VARIES = 15  # the bit of the frames that says that the height is not one
 
 
@@ -78,8 +94,10 @@ def max_bytes(tracks: int, lanes: int = 0) -> int:
 
 MAX_BYTES = max_bytes(MAX_TRACKS)
 
-# What `read` answers, and why it refuses. 1 to 3 are the reasons of `varint`, those from 11 on of `intervals`.
+# What `read` answers, and why it refuses. 1 to 3 are the reasons of `varint`, 11 to 13 of `intervals`, 14 of
+# `stated_pose`.
 DECODED, FORMAT, CORRUPT, CAPACITY, NO_NODE, IDENTITY, SPELLING, TRAILING = 0, 4, 5, 6, 7, 8, 9, 10
+NO_BODY = 15
 DECODE_REASONS = (
     "accepted",
     "it ends too early",
@@ -95,6 +113,8 @@ DECODE_REASONS = (
     "a place beyond the end of its lane",
     "places on a lane that is not there",
     "a last lane without a place",
+    "no pose that can be stated",
+    "a stated pose without a body",
 )
 
 
@@ -116,6 +136,23 @@ def write_with_places(buffer: Bytes, sender: int, time_ms: int, depth: int, rows
     if at < 0:
         return -1
     at = put_places(buffer, at, places)
+    return put_fixed(buffer, at, crc32(buffer, at), _CRC)
+
+
+@compiled
+def write_with_pose(
+    buffer: Bytes, sender: int, time_ms: int, depth: int, rows: GraphArrays, places: Bytes, stated: Floats
+) -> int:
+    """As `write`, in the sender's own frame, with its pose (STATED,), and places (B, P) if B is not 0.
+
+    `buffer` must hold `max_bytes(MAX_TRACKS, B) + POSE_BYTES`.
+    """
+    at = _put_graph(buffer, WITH_POSE if places.shape[0] == 0 else WITH_POSE_AND_PLACES, sender, time_ms, depth, rows)
+    if at < 0:
+        return -1
+    if places.shape[0] > 0:
+        at = put_places(buffer, at, places)
+    at = put_stated_pose(buffer, at, stated)
     return put_fixed(buffer, at, crc32(buffer, at), _CRC)
 
 
@@ -153,7 +190,7 @@ def read(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> int:
     Any other answer is an index of DECODE_REASONS and leaves no row in use. Absent nodes get position 0.
     """
     rows.used[0] = 0
-    status = _check_envelope(buffer, length, VERSION)
+    status = _check_envelope(buffer, length, VERSION, VERSION)
     if status != DECODED:
         return status
     at = _take_graph(buffer, length, header, rows)
@@ -165,12 +202,30 @@ def read_with_places(buffer: Bytes, length: int, header: Ints, rows: GraphArrays
     """As `read`, of both versions, with the places (B, P) that are vouched for: none by the first version."""
     rows.used[0] = 0
     places[:] = 0
-    status = _check_envelope(buffer, length, WITH_PLACES)
+    status = _check_envelope(buffer, length, VERSION, WITH_PLACES)
     if status != DECODED:
         return status
     at = _take_graph(buffer, length, header, rows)
     if at >= 0 and buffer[2] == WITH_PLACES:
         at = take_places(buffer, at, length - _CRC, places)
+    return -at if at < 0 else _end(rows, int(buffer[5]), at, length)
+
+
+@compiled
+def read_with_pose(buffer: Bytes, length: int, header: Ints, rows: GraphArrays, places: Bytes, stated: Floats) -> int:
+    """As `read_with_places`, of the versions that state a pose, and that pose (STATED,)."""
+    rows.used[0] = 0
+    places[:] = 0
+    status = _check_envelope(buffer, length, WITH_POSE, WITH_POSE_AND_PLACES)
+    if status != DECODED:
+        return status
+    at = _take_graph(buffer, length, header, rows)
+    if at >= 0 and buffer[2] == WITH_POSE_AND_PLACES:
+        at = take_places(buffer, at, length - _CRC, places)
+    if at >= 0:
+        at = take_stated_pose(buffer, at, length - _CRC, stated)
+    if at >= 0 and (buffer[5] == 0 or rows.track[0] != 0 or not rows.mask[0, FRAMES - 1]):
+        return NO_BODY
     return -at if at < 0 else _end(rows, int(buffer[5]), at, length)
 
 
@@ -200,11 +255,11 @@ def _end(rows: GraphArrays, tracks: int, at: int, length: int) -> int:
 
 
 @compiled_part
-def _check_envelope(buffer: Bytes, length: int, newest: int) -> int:
-    """DECODED for a message of a version up to `newest` that is whole, or why it is none."""
+def _check_envelope(buffer: Bytes, length: int, oldest: int, newest: int) -> int:
+    """DECODED for a message of a version from `oldest` to `newest` that is whole, or why it is none."""
     if length < _HEADER + _CRC or length > buffer.shape[0]:
         return TRUNCATED
-    known = take_fixed(buffer, 0, 2) == _MAGIC and VERSION <= buffer[2] <= newest and buffer[4] == _RESOLUTION
+    known = take_fixed(buffer, 0, 2) == _MAGIC and oldest <= buffer[2] <= newest and buffer[4] == _RESOLUTION
     if not known or not 1 <= buffer[3] <= FRAMES:
         return FORMAT
     if crc32(buffer, length - _CRC) != take_fixed(buffer, length - _CRC, _CRC):
@@ -241,10 +296,11 @@ def _take_track(buffer: Bytes, at: int, end: int, rows: GraphArrays, row: int, d
     return at
 
 
-def encode(graph: Graph, depth: int = FRAMES, places: Bytes | None = None) -> bytes:
+def encode(graph: Graph, depth: int = FRAMES, places: Bytes | None = None, pose: StatedPose | None = None) -> bytes:
     """The newest `depth` frames of a graph as a message; ValueError where the graph is not one that can be sent.
 
-    places (B, P): those that the sender has seen to be empty, in a message of version 2; None: version 1.
+    places (B, P): those that the sender has seen to be empty, in a message of version 2; None: version 1. With a pose
+    the graph is in the sender's own frame, and the message of version 4, or 3 without places.
 
     >>> still = np.zeros((1, FRAMES, 3))
     >>> graph = Graph(7, 1.5, np.array([0]), still, np.ones((1, FRAMES), bool), np.array([CAR], np.int8))
@@ -252,34 +308,72 @@ def encode(graph: Graph, depth: int = FRAMES, places: Bytes | None = None) -> by
     (50, 22, 1.5)
     >>> len(encode(graph, places=np.zeros((8, PLACES), np.uint8)))
     51
+    >>> len(encode(graph, pose=StatedPose(0.0)))
+    53
     """
     check_graph(graph, depth)
     rows, time_ms = graph_arrays(graph), round(graph.time * 1000.0)
-    if places is None:
-        buffer = np.empty(max_bytes(len(graph.track)), np.uint8)
-        return buffer[: write(buffer, graph.sender, time_ms, depth, rows)].tobytes()
-    chosen = _checked_places(places)
-    buffer = np.empty(max_bytes(len(graph.track), len(chosen)), np.uint8)
-    return buffer[: write_with_places(buffer, graph.sender, time_ms, depth, rows, chosen)].tobytes()
+    chosen = _NO_PLACES if places is None else _checked_places(places)
+    buffer = np.empty(max_bytes(len(graph.track), len(chosen)) + POSE_BYTES, np.uint8)
+    if pose is not None:
+        size = write_with_pose(buffer, graph.sender, time_ms, depth, rows, chosen, _checked_pose(graph, pose))
+    elif places is None:
+        size = write(buffer, graph.sender, time_ms, depth, rows)
+    else:
+        size = write_with_places(buffer, graph.sender, time_ms, depth, rows, chosen)
+    return buffer[:size].tobytes()
 
 
 def decode(payload: bytes) -> Graph:
     """The graph of a message of any version; DecodeError for any bytes that `encode` does not write."""
-    return decode_with_places(payload)[0]
+    return decode_message(payload).graph
 
 
 def decode_with_places(payload: bytes) -> tuple[Graph, Bytes | None]:
-    """The graph of a message, and the places (FORMAT_LANES, P) that its sender vouches for; None in version 1."""
-    longest = max_bytes(FORMAT_TRACKS, FORMAT_LANES)
+    """The graph of a message, and the places (FORMAT_LANES, P) that its sender vouches for; None if it says none."""
+    message = decode_message(payload)
+    return message.graph, message.places
+
+
+@dataclass(frozen=True)
+class Message:
+    """All that a message says."""
+
+    graph: Graph
+    places: Bytes | None  # (FORMAT_LANES, P) that its sender vouches for; None in versions 1 and 3
+    pose: StatedPose | None  # None in versions 1 and 2
+
+
+def decode_message(payload: bytes) -> Message:
+    """All of a message of any version; DecodeError for any bytes that `encode` does not write."""
+    longest = max_bytes(FORMAT_TRACKS, FORMAT_LANES) + POSE_BYTES
     if len(payload) > longest:
         raise DecodeError(f"message of {len(payload)} bytes refused: no graph takes more than {longest}")
-    buffer, header = np.array(bytearray(payload), np.uint8), np.zeros(3, np.int64)
+    buffer, header, stated = np.array(bytearray(payload), np.uint8), np.zeros(3, np.int64), np.zeros(STATED)
     rows, places = empty_graph_arrays(rows=FORMAT_TRACKS), np.zeros((FORMAT_LANES, PLACES), np.uint8)
-    status = read_with_places(buffer, len(payload), header, rows, places)
+    version = payload[2] if len(payload) > 2 else VERSION
+    if version in (WITH_POSE, WITH_POSE_AND_PLACES):
+        status = read_with_pose(buffer, len(payload), header, rows, places, stated)
+    else:
+        status = read_with_places(buffer, len(payload), header, rows, places)
     if status != DECODED:
         raise DecodeError(f"message of {len(payload)} bytes refused: {DECODE_REASONS[status]}")
-    graph = as_graph(rows, int(header[0]), int(header[1]) / 1000.0)
-    return graph, places if payload[2] == WITH_PLACES else None
+    return Message(
+        as_graph(rows, int(header[0]), int(header[1]) / 1000.0),
+        places if version in (WITH_PLACES, WITH_POSE_AND_PLACES) else None,
+        stated_pose(stated) if version in (WITH_POSE, WITH_POSE_AND_PLACES) else None,
+    )
+
+
+def _checked_pose(graph: Graph, pose: StatedPose) -> Floats:
+    """(STATED,) of a pose; ValueError where it, or its graph without a body, is not one that can be stated."""
+    if len(graph.track) == 0 or graph.track[0] != 0 or not graph.mask[0, -1]:
+        raise ValueError("a graph with a pose must have its sender's body as its first track, in the newest frame")
+    _check("heading in rad", pose.heading, -1e6, 1e6)
+    if pose.fix is not None:
+        for value, most in zip((*pose.fix, *pose.accuracy), (REACH, REACH, 1e6, 180.0, np.pi), strict=True):
+            _check("a number of a fix", value, -most if most > 180.0 else 0.0, most)
+    return pose.numbers()
 
 
 def _checked_places(places: Bytes) -> Bytes:

@@ -6,7 +6,7 @@ and all places in which a vehicle could have been that is in it now were seen in
 the vehicle would be a track by now, and nothing that is known of is in it. Vehicles drive forwards, up to TOP_SPEED.
 
 Everything is in the frame of the vehicle's own fix, as its detections are: a wrong fix vouches for places beside those
-that were seen.
+that were seen. So what is said to others is shrunk by what the fix may be wrong.
 """
 
 import math
@@ -18,7 +18,7 @@ from cad_env.numerics.jit import compiled, compiled_part, inlined_part
 from cad_env.pipeline.sense import MOUNT, Sensing
 from cad_env.pipeline.track import BIRTH_HITS, Tracks
 from cad_env.types import FRAMES, Bytes, Floats, Ints
-from cad_env.world.lanes import PLACES, Lanes
+from cad_env.world.lanes import PLACE, PLACES, Lanes
 from cad_env.world.state import OFF, World
 
 SLACK = 0.4  # m that the centre of a vehicle may be off the place that stands for it: every box is taken to be larger
@@ -204,8 +204,12 @@ def _shadow(corner: Floats, line: tuple[float, float, float, float], sign: float
 
 
 @compiled_part
-def vouch(lanes: Lanes, tracks: Tracks, pose: Floats, seen: Bytes, vouched: Bytes) -> None:
-    """Write to vouched (B, P) what was seen (B, F, P) for long enough and has nothing known in it, by the own fix."""
+def vouch(lanes: Lanes, tracks: Tracks, pose: Floats, frame: Floats, seen: Bytes, vouched: Bytes) -> None:
+    """Write to vouched (B, P) what was seen (B, F, P) for long enough and has nothing known in it, by the own fix.
+
+    frame (3,): the change of frames from that of the tracks to that of the lanes, in which `pose` is.
+    """
+    cos, sin = math.cos(frame[2]), math.sin(frame[2])
     frames = seen.shape[1]
     for b in range(vouched.shape[0]):
         some = False
@@ -218,7 +222,21 @@ def vouch(lanes: Lanes, tracks: Tracks, pose: Floats, seen: Bytes, vouched: Byte
             places = vouched[b, lanes.piece_places[s, 0] : lanes.piece_places[s, 1]]
             _occupy(lanes.piece[s], pose[0], pose[1], places)
             for i in range(tracks.used[0]):
-                _occupy(lanes.piece[s], tracks.mean[i, 0], tracks.mean[i, 1], places)
+                x, y = tracks.mean[i, 0], tracks.mean[i, 1]
+                _occupy(lanes.piece[s], frame[0] + x * cos - y * sin, frame[1] + x * sin + y * cos, places)
+
+
+@compiled_part
+def shrink(vouched: Bytes, spread: float, shrunk: Bytes) -> None:
+    """Write to shrunk (B, P) the places that are vouched for at least two standard deviations, m, within the border."""
+    margin = int(2.0 * spread / PLACE + 0.5)
+    for b in range(vouched.shape[0]):
+        streak = 0
+        for i in range(PLACES):
+            shrunk[b, i] = 0
+            streak = streak + 1 if vouched[b, i] else 0
+            if streak > 2 * margin:
+                shrunk[b, i - margin] = 1
 
 
 @inlined_part

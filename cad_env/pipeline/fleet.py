@@ -4,13 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cad_env.config import PoseConfig
 from cad_env.pipeline.codec import max_bytes
 from cad_env.pipeline.coverage import Coverage, new_coverage
 from cad_env.pipeline.graph_arrays import empty_graph_arrays
 from cad_env.pipeline.hidden import Hidden, new_hidden
 from cad_env.pipeline.observe import View, empty_view
 from cad_env.pipeline.observe_lanes import LaneView, empty_lane_view
+from cad_env.pipeline.poses import Poses, new_poses
 from cad_env.pipeline.radio import Air, Link, empty_air
+from cad_env.pipeline.register import Relations, new_relations
+from cad_env.pipeline.stated_pose import POSE_BYTES, STATED
 from cad_env.pipeline.track import Tracks, empty_tracks
 from cad_env.types import FRAMES, MAX_MERGED_TRACKS, MAX_TRACKS, Bools, Bytes, Floats, GraphArrays, Ints
 from cad_env.world.lanes import PLACES, Lanes, empty_lanes
@@ -39,7 +43,9 @@ class Fleet(NamedTuple):
     """V connected vehicles, of which the first R also receive, merge and observe; the ego is number 0."""
 
     rows: Ints  # (V,) rows of the world
-    trail: Floats  # (V, T, 3) m, m, rad: own GNSS fixes, newest last
+    trail: Floats  # (V, T, 3) m, m, rad: own GNSS fixes, newest last; with `poses` those by odometry, in its own frame
+    poses: Poses  # (V, ...) what each knows of where it is; of none where poses are exact
+    relations: Relations  # (R, V, ...) where each receiver places each sender; of none where poses are exact
     tracks: Tracks  # (V, ...)
     window: GraphArrays  # (V, ...) own graphs
     kept: GraphArrays  # (R, V, ...) what each receiver holds of each sender
@@ -61,17 +67,24 @@ class Fleet(NamedTuple):
     detected_kind: Ints  # scratch: (MAX_TRACKS,)
     buffer: Bytes  # scratch: for the longest message
     places: Bytes  # scratch: (B, P) of the message being read
+    shrunk: Bytes  # scratch: (B, P) what is left of them
+    frame: Floats  # scratch: (3,) from a vehicle's own frame to the map
+    stated: Floats  # scratch: (STATED,) the pose that a message states
 
 
 def new_fleet(
-    rows: Ints, vehicles: int, receivers: int, link: Link, lanes: Lanes | None = None, miss: float = 0.0
-) -> Fleet:
+    rows: Ints, vehicles: int, receivers: int, link: Link, lanes: Lanes | None = None, miss: float = 0.0,
+    pose: PoseConfig | None = None,
+) -> Fleet:  # fmt: skip
     """A fleet that has seen nothing yet; it shares coverage of `lanes`, if any are given, at this rate of misses."""
     count, known = len(rows), empty_lanes() if lanes is None else lanes
-    longest = max_bytes(MAX_TRACKS, len(known.start))
+    config = PoseConfig() if pose is None else pose
+    longest = max_bytes(MAX_TRACKS, len(known.start)) + (0 if config.exact else POSE_BYTES)
     return Fleet(
         rows=rows,
         trail=np.zeros((count, FRAMES, 3)),
+        poses=new_poses(count, config),
+        relations=new_relations(receivers, count, empty_graph_arrays(), config.exact),
         tracks=empty_tracks(count),
         window=empty_graph_arrays(count),
         kept=empty_graph_arrays(receivers, count),
@@ -99,6 +112,9 @@ def new_fleet(
         detected_kind=np.zeros(MAX_TRACKS, np.int8),
         buffer=np.zeros(longest, np.uint8),
         places=np.zeros((len(known.start), PLACES), np.uint8),
+        shrunk=np.zeros((len(known.start), PLACES), np.uint8),
+        frame=np.zeros(3),
+        stated=np.zeros(STATED),
     )
 
 

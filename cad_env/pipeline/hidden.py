@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cad_env.numerics.jit import compiled, compiled_part, inlined_part
-from cad_env.types import FRAMES, STEP, TRUCK, Bytes, GraphArrays, Ints
+from cad_env.types import FRAMES, STEP, TRUCK, Bytes, Floats, GraphArrays, Ints
 from cad_env.world.geometry import ALONG
 from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
 
@@ -102,13 +102,19 @@ def take_out(hidden: Hidden, lanes: Lanes, route: int, vouched: Bytes, step: int
 
 
 @compiled_part
-def note_known(hidden: Hidden, lanes: Lanes, route: int, merged: GraphArrays) -> None:
-    """Mark where the vehicles of a merged graph are: nobody else is, and nobody comes past those that stand."""
+def note_known(hidden: Hidden, lanes: Lanes, route: int, merged: GraphArrays, frame: Floats) -> None:
+    """Mark where the vehicles of a merged graph are: nobody else is, and nobody comes past those that stand.
+
+    frame (3,): the change of frames from that of the graph to that of the lanes.
+    """
+    cos, sin = math.cos(frame[2]), math.sin(frame[2])
     for k in range(hidden.places.shape[0]):
         for i in range(PLACES):
             hidden.wall[k, i], hidden.known[k, i] = 1, 0
     for g in range(merged.used[0]):
         x, y, vx, vy, age, length = _motion(merged, g)
+        x, y = frame[0] + x * cos - y * sin, frame[1] + x * sin + y * cos
+        vx, vy = vx * cos - vy * sin, vx * sin + vy * cos
         if age > FRESH:
             continue
         stands = length >= LONG and vx * vx + vy * vy < STANDING_SPEED * STANDING_SPEED

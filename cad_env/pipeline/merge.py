@@ -12,11 +12,15 @@ import numpy as np
 from cad_env.numerics.assignment import assign
 from cad_env.numerics.jit import compiled, inlined, inlined_part
 from cad_env.pipeline.graph_arrays import flat_positions, row_of
-from cad_env.types import FRAMES, Floats, GraphArrays
+from cad_env.types import FRAMES, MAX_TRACKS, Floats, GraphArrays
 from cad_env.world.geometry import within
 
 MERGE_GATE = 2.5  # m; closer than two vehicles can be, wider than two trackers disagree
 EGO_RADIUS = 2.0  # m around itself in which the ego takes no node for another vehicle (the paper's rule)
+WIDEST_EGO = 3.4  # m, as above where it is not sure where a node is: nearer than the next lane
+CLOSE = 1.2  # m, gate of two tracks whose places are known well; it grows with what is not known of them
+_NOISE = 0.2  # m, standard deviation of a track in the frame of its vehicle
+_EXACTLY = np.zeros(MAX_TRACKS)
 
 
 @inlined
@@ -52,13 +56,25 @@ def take_in(merged: GraphArrays, weight: Floats, rows: GraphArrays, first: int, 
     weight (M, T): how many vehicles saw a node, of the rows in use.
     trail (T, 3): the ego's own pose in each frame; nodes within EGO_RADIUS of it are the ego, and are left out.
     """
+    take_in_placed(merged, weight, rows, first, trail, _EXACTLY, MERGE_GATE)
+
+
+@compiled
+def take_in_placed(
+    merged: GraphArrays, weight: Floats, rows: GraphArrays, first: int, trail: Floats, spread: Floats, gate: float
+) -> None:
+    """As `take_in`, where rows are placed with standard deviations spread (rows,) m, and so count for less.
+
+    gate: m, of a row without any; it grows by three standard deviations, up to MERGE_GATE.
+    """
     known, count = merged.used[0], rows.used[0]
     cost = np.empty((known, count))
     match = np.full(count, -1, np.int64)
     found = np.empty(known, np.int64)
     for g in range(known):
         for i in range(first, count):
-            cost[g, i - first] = _disagreement(merged, weight, g, rows, i)
+            apart = _disagreement(merged, weight, g, rows, i)
+            cost[g, i - first] = apart if apart < min(gate + 3.0 * spread[i], MERGE_GATE) else math.inf
     assign(cost, known, max(count - first, 0), MERGE_GATE, found)
     for g in range(known):
         if found[g] >= 0:
@@ -73,7 +89,7 @@ def take_in(merged: GraphArrays, weight: Floats, rows: GraphArrays, first: int, 
             merged.track[g], merged.kind[g] = g, rows.kind[i]
             merged.mask[g] = False
             weight[g] = 0.0
-        _fuse(merged, weight, g, rows, i, trail)
+        _fuse(merged, weight, g, rows, i, trail, spread[i])
 
 
 @inlined_part
@@ -93,25 +109,27 @@ def _disagreement(merged: GraphArrays, weight: Floats, g: int, rows: GraphArrays
 
 
 @inlined_part
-def _fuse(merged: GraphArrays, weight: Floats, g: int, rows: GraphArrays, i: int, trail: Floats) -> None:
+def _fuse(merged: GraphArrays, weight: Floats, g: int, rows: GraphArrays, i: int, trail: Floats, spread: float) -> None:
+    own = 1.0 if spread == 0.0 else _NOISE * _NOISE / (_NOISE * _NOISE + spread * spread)
+    radius = min(EGO_RADIUS + 2.0 * spread, WIDEST_EGO)
     for t in range(FRAMES):
-        if not rows.mask[i, t] or _is_ego(rows, i, t, trail):
+        if not rows.mask[i, t] or _is_ego(rows, i, t, trail, radius):
             continue
         if weight[g, t] == 0.0:
             for axis in range(3):
                 merged.position[g, t, axis] = 0.0 + rows.position[i, t, axis]  # -0.0 becomes 0.0, as in any other mean
         else:
-            share = 1.0 / (weight[g, t] + 1.0)
+            share = own / (weight[g, t] + own)
             for axis in range(3):
                 before = merged.position[g, t, axis]
                 merged.position[g, t, axis] = before + share * (rows.position[i, t, axis] - before)
-        weight[g, t] += 1.0
+        weight[g, t] += own
         merged.mask[g, t] = True
 
 
 @inlined_part
-def _is_ego(rows: GraphArrays, i: int, t: int, trail: Floats) -> bool:
-    return within(rows.position[i, t, 0] - trail[t, 0], rows.position[i, t, 1] - trail[t, 1], EGO_RADIUS)
+def _is_ego(rows: GraphArrays, i: int, t: int, trail: Floats, radius: float) -> bool:
+    return within(rows.position[i, t, 0] - trail[t, 0], rows.position[i, t, 1] - trail[t, 1], radius)
 
 
 @compiled
@@ -121,7 +139,7 @@ def finish_merge(merged: GraphArrays, trail: Floats) -> None:
     for g in range(merged.used[0]):
         alive = False
         for t in range(FRAMES):
-            if merged.mask[g, t] and _is_ego(merged, g, t, trail):
+            if merged.mask[g, t] and _is_ego(merged, g, t, trail, EGO_RADIUS):
                 merged.mask[g, t] = False
             alive = alive or merged.mask[g, t]
         if not alive:

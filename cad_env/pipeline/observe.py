@@ -136,9 +136,9 @@ def observe_tracks(view: View, merged: GraphArrays, trail: Floats) -> None:
 
 
 @compiled
-def observe_ego(view: View, trail: Floats, routes: Routes, route: int, progress: float, speed: float,
+def observe_ego(view: View, trail: Floats, place: Floats, routes: Routes, route: int, progress: float, speed: float,
                 target_speed: float, length: float, width: float) -> None:  # fmt: skip
-    """Show the ego's own motion, command and way ahead, as its fixes in trail (T, 3) place it."""
+    """Show the ego's own motion, by its trail (T, 3), and command and way ahead, by its place (3,) on the map."""
     x, y, heading = trail[FRAMES - 1, 0], trail[FRAMES - 1, 1], trail[FRAMES - 1, 2]
     cos, sin = math.cos(heading), math.sin(heading)
     for t in range(FRAMES):
@@ -147,6 +147,8 @@ def observe_ego(view: View, trail: Floats, routes: Routes, route: int, progress:
         view.odometry[t, 1] = _clip(dy * cos - dx * sin)
         turn = trail[t, 2] - heading
         view.odometry[t, 2] = math.atan2(math.sin(turn), math.cos(turn))
+    x, y, heading = place[0], place[1], place[2]
+    cos, sin = math.cos(heading), math.sin(heading)
     view.ego[0], view.ego[1] = min(speed, MAX_SPEED), min(target_speed, MAX_SPEED)
     view.ego[2], view.ego[3] = length, width
     last = routes.point.shape[1] - 1

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from cad_env.numerics.jit import compiled_part, inlined_part
 from cad_env.pipeline.hidden import Hidden, foremost, place_beside
 from cad_env.pipeline.observe import HORIZON
-from cad_env.types import FRAMES, MAX_STEPS, STEP, Floats, Ints
+from cad_env.types import MAX_STEPS, STEP, Floats, Ints
 from cad_env.world.dynamics import place_on_route
 from cad_env.world.lanes import CONFLICTS, PLACE, PLACES, Lanes
 from cad_env.world.state import Routes
@@ -57,11 +57,11 @@ def lane_view_at(stack: LaneView, r: int) -> LaneView:
 
 @compiled_part
 def observe_lanes(view: LaneView, hidden: Hidden, lanes: Lanes, routes: Routes, route: int, progress: float,
-                  length: float, trail: Floats, step: int) -> None:  # fmt: skip
-    """Show the lanes that the way meets, as the own fixes in trail (T, 3) place the agent, `length` m long."""
+                  length: float, pose: Floats, step: int) -> None:  # fmt: skip
+    """Show the lanes that the way meets, from the agent's own place `pose` (3,) on the map; it is `length` m long."""
     view.lanes[:] = 0.0
     view.lane_mask[:] = 0
-    pose, shown = trail[FRAMES - 1], 0
+    shown = 0
     frame = (pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]))
     along, _ = place_on_route(routes, route, pose[0], pose[1], progress)
     for k in range(hidden.places.shape[0]):

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from cad_env.config import SensorConfig
 from cad_env.numerics.jit import compiled, inlined, inlined_part
-from cad_env.numerics.philox import normals_and_uniform
-from cad_env.types import MAX_TRACKS, TRUCK, Bools, Floats, Ints
+from cad_env.numerics.philox import normals_and_uniform, uniform
+from cad_env.types import CAR, MAX_TRACKS, TRUCK, Bools, Floats, Ints
 from cad_env.world.geometry import box_hides, within
 from cad_env.world.state import OFF, World
 
@@ -14,6 +14,8 @@ from cad_env.world.state import OFF, World
 MOUNT = 0.4  # of the length, ahead of the centre
 CENTRE_HEIGHT = (0.75, 1.75)  # m above the road of a car's and a truck's centre
 SURELY = 0.01  # m, by which a box must be too far from a line of sight to be left out unasked
+_POINTS = ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5))  # of a target, lengths and widths from it
+_DETECTION, _FALSE_ALARM, _CLASS, _CORNER = range(4)  # last counters: each error has numbers of its own
 _GNSS = 1 << 20  # counter that no target row reaches: the vehicle's own fix
 
 
@@ -25,13 +27,17 @@ class Sensing(NamedTuple):
     miss: float
     gnss_noise: float
     gnss_yaw_noise: float
+    false_alarm: float
+    partial: float
+    class_error: float
 
 
 def sensing(config: SensorConfig) -> Sensing:
     """The compiled stages' view of a sensor configuration."""
     return Sensing(
         float(config.range), float(config.noise), float(config.miss),
-        float(config.gnss_noise), float(config.gnss_yaw_noise),
+        float(config.gnss_noise), float(config.gnss_yaw_noise), float(config.false_alarm), float(config.partial),
+        float(config.class_error),
     )  # fmt: skip
 
 
@@ -55,7 +61,7 @@ def can_see(world: World, outlines: Floats, observer: int, target: int, reach: f
     y0 = position[observer, 1] + ahead * outlines[observer, 1]
     cos, sin = outlines[target, 0], outlines[target, 1]
     count = _near_line(world, outlines, observer, target, x0, y0, near)
-    for forward, left in ((0.0, 0.0), (0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
+    for forward, left in _POINTS:
         along, across = forward * size[target, 0], left * size[target, 1]
         x1 = position[target, 0] + along * cos - across * sin
         y1 = position[target, 1] + along * sin + across * cos
@@ -64,6 +70,27 @@ def can_see(world: World, outlines: Floats, observer: int, target: int, reach: f
         if not _hidden(world, outlines, near, count, x0, y0, x1, y1):
             return True
     return False
+
+
+@inlined_part
+def _seen_middle(
+    world: World, outlines: Floats, observer: int, target: int, reach: float, near: Ints
+) -> tuple[float, float]:
+    """(x, y) m from the centre of a target to the middle of those of its points that are seen, of which there are."""
+    position, size = world.position, world.size
+    ahead, cos, sin = MOUNT * size[observer, 0], outlines[target, 0], outlines[target, 1]
+    x0 = position[observer, 0] + ahead * outlines[observer, 0]
+    y0 = position[observer, 1] + ahead * outlines[observer, 1]
+    count = _near_line(world, outlines, observer, target, x0, y0, near)
+    x = y = seen = 0.0
+    for forward, left in _POINTS:
+        along, across = forward * size[target, 0], left * size[target, 1]
+        dx, dy = along * cos - across * sin, along * sin + across * cos
+        x1, y1 = position[target, 0] + dx, position[target, 1] + dy
+        far = (x1 - x0) ** 2 + (y1 - y0) ** 2 > reach * reach
+        if not far and not _hidden(world, outlines, near, count, x0, y0, x1, y1):
+            x, y, seen = x + dx, y + dy, seen + 1.0
+    return x / seen, y / seen
 
 
 @inlined_part
@@ -135,13 +162,42 @@ def sense(world: World, outlines: Floats, observer: int, sensor: Sensing, key: I
         if not can_see(world, outlines, observer, target, sensor.range, near):
             continue
         visible[target] = True
-        east, north, lucky = normals_and_uniform(key, step, observer, target, 0)
+        if sensor.false_alarm > 0.0 and found < MAX_TRACKS:
+            found += _alarm(world, outlines, observer, target, sensor, key, step, pose, position[found], kind[found:])
+        east, north, lucky = normals_and_uniform(key, step, observer, target, _DETECTION)
         if lucky < sensor.miss or found == MAX_TRACKS:
             continue
+        if sensor.partial > 0.0:
+            x, y = _seen_middle(world, outlines, observer, target, sensor.range, near)
+            dx, dy = dx + sensor.partial * x, dy + sensor.partial * y
+        kind[found] = world.kind[target]
+        if sensor.class_error > 0.0 and uniform(key, step, observer, target, _CLASS) < sensor.class_error:
+            kind[found] = CAR if kind[found] == TRUCK else TRUCK
         position[found, 0] = pose[0] + dx * cos - dy * sin + sensor.noise * east
         position[found, 1] = pose[1] + dx * sin + dy * cos + sensor.noise * north
         # The road is flat and known, so the height of a centre carries the class and no noise.
-        position[found, 2] = CENTRE_HEIGHT[1] if world.kind[target] == TRUCK else CENTRE_HEIGHT[0]
-        kind[found] = world.kind[target]
+        position[found, 2] = CENTRE_HEIGHT[1] if kind[found] == TRUCK else CENTRE_HEIGHT[0]
         found += 1
     return found
+
+
+@inlined_part
+def _alarm(world: World, outlines: Floats, observer: int, target: int, sensor: Sensing, key: Ints, step: int,
+           pose: Floats, position: Floats, kind: Ints) -> int:  # fmt: skip
+    """Write, by chance, a second detection of a target, at a corner of its box; answers how many."""
+    east, north, lucky = normals_and_uniform(key, step, observer, target, _FALSE_ALARM)
+    if lucky >= sensor.false_alarm:
+        return 0
+    corner = 1 + int(4.0 * uniform(key, step, observer, target, _CORNER))
+    along, across = _POINTS[corner][0] * world.size[target, 0], _POINTS[corner][1] * world.size[target, 1]
+    dx = world.position[target, 0] - world.position[observer, 0]
+    dy = world.position[target, 1] - world.position[observer, 1]
+    dx += along * outlines[target, 0] - across * outlines[target, 1]
+    dy += along * outlines[target, 1] + across * outlines[target, 0]
+    wrong = pose[2] - world.heading[observer]
+    cos, sin = math.cos(wrong), math.sin(wrong)
+    position[0] = pose[0] + dx * cos - dy * sin + sensor.noise * east
+    position[1] = pose[1] + dx * sin + dy * cos + sensor.noise * north
+    position[2] = CENTRE_HEIGHT[1] if world.kind[target] == TRUCK else CENTRE_HEIGHT[0]
+    kind[0] = world.kind[target]
+    return 1

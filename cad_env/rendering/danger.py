@@ -4,7 +4,7 @@ import numpy as np
 
 from cad_env.pipeline.merge import MERGE_GATE
 from cad_env.rendering.canvas import BLACK, Canvas, Tag
-from cad_env.rendering.layers import EGO_SEES, OTHERS_SEE, SEEN_COLOURS, STOP_COLOUR, who_sees
+from cad_env.rendering.layers import EGO_SEES, OTHERS_SEE, SEEN_COLOURS, STOP_COLOUR, around_ego, who_sees
 from cad_env.simulation.simulation import Simulation
 from cad_env.types import STEP, Graph
 from cad_env.world.state import OFF
@@ -24,7 +24,7 @@ def ends_at(simulation: Simulation, graph: Graph, row: int) -> bool:
 
 def only_told(simulation: Simulation, row: int) -> bool:
     """True if the ego knows of a vehicle, and only from others."""
-    own, merged = simulation.own_graph(0), simulation.merged_graph(0)
+    own, merged = (around_ego(simulation, graph) for graph in (simulation.own_graph(0), simulation.merged_graph(0)))
     return ends_at(simulation, merged, row) and not ends_at(simulation, own, row)
 
 
@@ -36,6 +36,6 @@ def danger(simulation: Simulation, canvas: Canvas) -> None:
     tag = Tag("hidden, and the ego does not know", STOP_COLOUR)
     if only_told(simulation, row):
         tag = Tag("hidden, but the ego is told", SEEN_COLOURS[OTHERS_SEE], BLACK)
-    elif ends_at(simulation, simulation.own_graph(0), row):
+    elif ends_at(simulation, around_ego(simulation, simulation.own_graph(0)), row):
         tag = Tag("hidden again", SEEN_COLOURS[EGO_SEES], BLACK)
     canvas.label_beside(world.position[row], tag)

@@ -1,6 +1,8 @@
 """What may be drawn over the roads, a function each: LAYERS has them by name, in the order in which they are drawn."""
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -75,10 +77,23 @@ def links(simulation: Simulation, canvas: Canvas) -> None:
             canvas.label([sender + share * (ego - sender) for share in BYTES_AT], tag)
 
 
+def around_ego(simulation: Simulation, graph: Graph) -> Graph:
+    """A graph of the ego as it lies around the ego's true body: with `pose` it is in the ego's own frame."""
+    if simulation.setup.pose.exact:
+        return graph
+    world, row = simulation.world, simulation.agents[0]
+    x, y, heading = simulation.fleet.trail[0, -1].tolist()
+    angle = world.heading[row].item() - heading
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    position = graph.position.copy()
+    position[..., :2] = (graph.position[..., :2] - (x, y)) @ turn + world.position[row]
+    return replace(graph, position=position)
+
+
 def tracks(simulation: Simulation, canvas: Canvas) -> None:
     """The tracks that the ego holds, each a trail of its last 15 frames: its own, and those it only has from others."""
-    graph = simulation.merged_graph(0)
-    own = _seen_itself(graph, simulation.own_graph(0))
+    graph = around_ego(simulation, simulation.merged_graph(0))
+    own = _seen_itself(graph, around_ego(simulation, simulation.own_graph(0)))
     for k in range(len(graph.track)):
         colour = SEEN_COLOURS[EGO_SEES if own[k] else OTHERS_SEE]
         trail = graph.position[k, graph.mask[k], :2]

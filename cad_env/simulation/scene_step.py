@@ -62,7 +62,7 @@ class SceneState(NamedTuple):
     sensor: Sensing
     link: Link
     depth: int  # newest frames in a message
-    keys: Ints  # (2, 2) uint64 of the streams of chance
+    keys: Ints  # (3, 2) uint64 of the streams of chance
     clock: Ints  # (1,) decisions so far
     actions: Ints  # (V,) GO or BRAKE
     goal: float  # m along its route, where the ego has arrived
@@ -161,7 +161,7 @@ def _kind() -> Any:
             sensor=sensing(SensorConfig()),
             link=link,
             depth=FRAMES,
-            keys=np.zeros((2, 2), np.uint64),
+            keys=np.zeros((3, 2), np.uint64),
             clock=np.zeros(1, np.int64),
             actions=np.zeros(1, np.int64),
             goal=0.0,

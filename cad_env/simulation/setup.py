@@ -5,7 +5,16 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from cad_env.checks import check_mapping, check_numbers, check_range, check_switch, plain, settle
-from cad_env.config import RadioConfig, SensorConfig, check_keywords, check_names, knows_its_names, radio_config
+from cad_env.config import (
+    PoseConfig,
+    RadioConfig,
+    SensorConfig,
+    check_keywords,
+    check_names,
+    knows_its_names,
+    pose_config,
+    radio_config,
+)
 from cad_env.lidar.config import MAX_RANGE, CloudConfig, cloud_config
 from cad_env.scenarios import scenario_named
 from cad_env.scenarios.ranges import Traffic
@@ -24,6 +33,7 @@ class Setup:
     penetration: float | None = None  # probability that a vehicle is connected; None: as many as `collaborators` says
     sensor: SensorConfig = field(default_factory=SensorConfig)
     radio: RadioConfig = field(default_factory=lambda: radio_config("dsrc"))
+    pose: PoseConfig = field(default_factory=PoseConfig)  # what a vehicle knows of where it is
     depth: int = FRAMES  # newest frames in a message
     cloud: CloudConfig | None = None  # given: points are shared instead of graphs
     coverage: bool = False  # messages also say what was seen to be empty, and observations where hidden traffic may be
@@ -43,6 +53,10 @@ class Setup:
         check_switch("coverage", self.coverage)
         if self.coverage and (self.cloud is not None or self.exchanges_graphs):
             raise ValueError("coverage is a part of the project's own messages: leave out cloud, share and codec")
+        if not self.pose.exact and (self.cloud is not None or self.exchanges_graphs):
+            raise ValueError("pose is a part of the project's own messages: leave out cloud, share and codec")
+        if not self.pose.exact and (self.sensor.gnss_noise or self.sensor.gnss_yaw_noise):
+            raise ValueError("pose and the sensor's gnss_noise are two models of one error: leave out one of them")
         if self.cloud is not None and self.exchanges_graphs:
             raise ValueError("share and codec are for graphs: leave them out where points are shared (cloud)")
         Traffic(self.traffic, self.penetration)
@@ -65,7 +79,7 @@ class Setup:
 
 
 def setup_from(options: Mapping[str, Any]) -> Setup:
-    """A Setup from keyword arguments: radio by preset, record or dict, sensor and cloud by record or dict.
+    """A Setup from keyword arguments: radio and pose by preset, record or dict, sensor and cloud by record or dict.
 
     >>> setup_from({"radio": "cv2x"}).radio.budget
     90000.0
@@ -78,12 +92,14 @@ def setup_from(options: Mapping[str, Any]) -> Setup:
     given = dict(options)
     if "scenario" in given:
         given["scenario"] = scenario_named(given["scenario"]).name
-    for name, kind in (("radio", RadioConfig), ("sensor", SensorConfig)):
+    for name, kind in (("radio", RadioConfig), ("sensor", SensorConfig), ("pose", PoseConfig)):
         if isinstance(given.get(name), Mapping):
             check_names(f"{name} setting", dict(given[name]), [f.name for f in fields(kind)])
             given[name] = kind(**given[name])
     if "radio" in given:
         given["radio"] = radio_config(given["radio"])
+    if "pose" in given:
+        given["pose"] = pose_config(given["pose"])
     given["cloud"] = cloud_config(given.get("cloud"))
     if "sensor" in given and not isinstance(given["sensor"], SensorConfig):
         raise ValueError(f"sensor must be a SensorConfig or a dict of its settings, got {given['sensor']!r}")

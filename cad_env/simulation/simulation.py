@@ -88,11 +88,11 @@ class Simulation(CopiedWhole):
         commands = self.scenario.command_count
         views = self._batch_state.views_at(self._place) if count == 1 else empty_view(count, commands=commands)
         self.fleet: Fleet = new_fleet(
-            self.agents, vehicles, count, self._link, self._lanes, self.setup.sensor.miss
+            self.agents, vehicles, count, self._link, self._lanes, self.setup.sensor.miss, self.setup.pose
         )._replace(views=views)
         if count == 1:
             self.fleet = self.fleet._replace(lane_views=self._batch_state.lane_views_at(self._place))
-        self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio")])
+        self._keys = np.stack([stream_key(seed, name) for name in ("sense", "radio", "pose")])
         goal, step_info = self.scene.goal, self._batch_state.step_info_at(self._place)
         step_info.min_ttc[0], step_info.progress[0] = math.inf, self.world.progress[0]
         self._scene_state = SceneState(

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from cad_env.conditions import CONDITIONS, Condition, condition_named
-from cad_env.config import RadioConfig, radio_config
+from cad_env.config import POSE_PRESETS, RadioConfig, SensorConfig, radio_config
 from cad_env.scenarios import SCENARIOS
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation
@@ -28,6 +28,13 @@ SETS = {
     "one-collaborator": {"collaborators": 1},
     "dense": {"traffic": "dense"},
     "dense-penetration-10": {"traffic": "dense", "penetration": 0.1},
+    "gnss-white-1m": {"pose": "white"},
+    "gnss-standard": {"pose": "standard"},
+    "gnss-urban": {"pose": "urban"},
+    "gnss-denied": {"pose": "denied"},
+    "false-alarms": {"false_alarm": 0.1},
+    "partial-views": {"partial": 1.0},
+    "urban-everything": {"penetration": 0.5, "loss": 0.2, "delay": 0.2, "pose": "urban", "false_alarm": 0.1},
 }
 
 
@@ -55,6 +62,10 @@ def test_an_environment_meets_what_is_set(name: str, scenario: str):
         simulation.start(seed)
         found.append(len(simulation.agents))
     assert simulation.setup.traffic == condition.traffic
+    assert simulation.setup.pose == POSE_PRESETS[SETS[name].get("pose", "exact")]
+    assert simulation.setup.sensor == SensorConfig(
+        false_alarm=SETS[name].get("false_alarm", 0.0), partial=SETS[name].get("partial", 0.0)
+    )
     radio = simulation.setup.radio
     assert radio.rate == radio_config("cv2x").rate
     assert (radio.loss, radio.burst, radio.delay) == tuple(
@@ -86,6 +97,9 @@ def _eligible(simulation: Simulation, seed: int) -> set[int]:
         ({"loss": 0.4, "burst": 5}, "light traffic; a witness is always connected; 40 % of the messages lost; "
                                     "losses in runs of 5"),
         ({"traffic": "dense", "delay": 0.3}, "dense traffic; a witness is always connected; messages 0.3 s late"),
+        ({"pose": "urban", "false_alarm": 0.1, "partial": 1.0, "class_error": 0.05},
+         "light traffic; a witness is always connected; positions: urban; false alarms at 10 % of what is seen; "
+         "detections 100 % drawn to what is seen of a vehicle; 5 % of the classes wrong"),
     ],
 )  # fmt: skip
 def test_the_words_say_who_is_connected_and_what_differs(settings: dict[str, Any], words: str):
@@ -103,6 +117,8 @@ def test_the_words_say_who_is_connected_and_what_differs(settings: dict[str, Any
         ({"collaborators": 1, "penetration": 0.5}, "leave out collaborators, got 1"),
         ({"loss": 2.0}, "radio loss must be a number from 0 to 1, got 2.0"),
         ({"delay": 9.0}, "radio delay must be"),
+        ({"pose": "ubran"}, "unknown pose 'ubran': choose one of exact, rtk, white, standard, urban, denied"),
+        ({"partial": 2.0}, "sensor partial must be a number from 0 to 1, got 2.0"),
         ({"penetratoin": 0.5}, "unknown condition setting penetratoin=0.5"),
         ({"reason": ""}, "condition reason must be a text, got ''"),
     ],

@@ -12,12 +12,15 @@ from stages import detect, nodes_and_edges
 import cad_env
 from cad_env.checks import ConfigError
 from cad_env.config import (
+    POSE_PRESETS,
     RADIO_PRESETS,
+    PoseConfig,
     RadioConfig,
     SensorConfig,
     UnknownNameError,
     check_keywords,
     check_names,
+    pose_config,
     radio_config,
 )
 from cad_env.numerics.philox import stream_key
@@ -31,6 +34,19 @@ RANGES = [
     (SensorConfig, "sensor", "miss", 0.0, 1.0),
     (SensorConfig, "sensor", "gnss_noise", 0.0, 50.0),
     (SensorConfig, "sensor", "gnss_yaw_noise", 0.0, math.pi),
+    (SensorConfig, "sensor", "false_alarm", 0.0, 1.0),
+    (SensorConfig, "sensor", "partial", 0.0, 1.0),
+    (SensorConfig, "sensor", "class_error", 0.0, 1.0),
+    (PoseConfig, "pose", "bias", 0.0, 50.0),
+    (PoseConfig, "pose", "yaw_bias", 0.0, math.pi),
+    (PoseConfig, "pose", "bias_time", 0.1, 1e4),
+    (PoseConfig, "pose", "noise", 0.0, 50.0),
+    (PoseConfig, "pose", "yaw_noise", 0.0, math.pi),
+    (PoseConfig, "pose", "outage", 0.0, 0.99),
+    (PoseConfig, "pose", "outage_time", 0.1, 1e3),
+    (PoseConfig, "pose", "start", 0.0, 50.0),
+    (PoseConfig, "pose", "scale", 0.0, 0.2),
+    (PoseConfig, "pose", "yaw_rate", 0.0, 0.1),
     (RadioConfig, "radio", "rate", 0.0, 1e12),
     (RadioConfig, "radio", "loss", 0.0, 1.0),
     (RadioConfig, "radio", "delay", 0.0, 1.4),
@@ -51,8 +67,26 @@ def test_a_knob_takes_its_range_and_nothing_beyond(kind, what: str, name: str, l
 
 def test_every_knob_is_checked():
     assert {(kind, name) for kind, _, name, _, _ in RANGES} == {
-        (kind, field.name) for kind in (SensorConfig, RadioConfig) for field in dataclasses.fields(kind)
-    }
+        (kind, field.name) for kind in (SensorConfig, RadioConfig, PoseConfig) for field in dataclasses.fields(kind)
+    } - {(PoseConfig, "denied"), (PoseConfig, "placing")}
+
+
+def test_a_switch_and_a_name_are_checked_too():
+    with pytest.raises(ConfigError, match="pose denied must be"):
+        PoseConfig(denied=2)
+    with pytest.raises(ConfigError, match=r"pose placing must be one of .*; did you mean single[?]"):
+        PoseConfig(placing="sinlge")
+    with pytest.raises(UnknownNameError, match="unknown pose setting biass=1"):
+        setup_from({"pose": {"biass": 1}})
+    assert pose_config(PoseConfig(bias=2.0)) == setup_from({"pose": {"bias": 2.0}}).pose
+    assert [name for name, pose in POSE_PRESETS.items() if pose.exact] == ["exact"]
+
+
+@pytest.mark.parametrize("more", [{"cloud": {}}, {"share": lambda graph: graph}, {"sensor": {"gnss_noise": 1.0}}])
+def test_poses_and_what_knows_nothing_of_them_exclude_each_other(more: dict):
+    assert setup_from({"pose": "exact", **more}).pose.exact
+    with pytest.raises(ValueError, match="leave out"):
+        setup_from({"pose": "urban", **more})
 
 
 def test_the_defaults_are_those_of_the_documents():
@@ -85,7 +119,7 @@ def test_a_delay_is_rounded_up_to_whole_steps(delay: float, steps: int):
 def test_presets_and_records_cannot_be_changed():
     with pytest.raises(TypeError):
         RADIO_PRESETS["dsrc"] = RadioConfig()
-    for record in (RadioConfig(), SensorConfig(), Setup()):
+    for record in (RadioConfig(), SensorConfig(), PoseConfig(), Setup()):
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(record, dataclasses.fields(record)[0].name, 1)
 

@@ -76,6 +76,26 @@ def test_law_6_shifting_the_world_changes_no_observation_with_all_its_noise(wher
             np.testing.assert_allclose(one[name], other[name], rtol=0.0, atol=3e-5, err_msg=name)
 
 
+@EVERYWHERE
+@settings(max_examples=1)
+@given(seeds, shifts, shifts, angles)
+def test_law_6_holds_with_all_noise_where_nobody_knows_the_world(where: dict, seed, dx, dy, angle):
+    for one, other in two_worlds(seed, dx, dy, angle, {**where, "pose": "denied"}):
+        for name in one:
+            np.testing.assert_allclose(one[name], other[name], rtol=0.0, atol=3e-5, err_msg=name)
+
+
+@EVERYWHERE
+@settings(max_examples=1)
+@given(seeds, st.integers(-1000, 1000), st.integers(-1000, 1000))
+def test_law_6_holds_where_fixes_are_off(where: dict, seed, dx, dy):
+    # A fix on the air is in whole centimetres, of which one may fall to the other side where the world is elsewhere.
+    for one, other in two_worlds(seed, dx, dy, 0.0, {**where, "pose": "urban"}):
+        for name in set(one) - {"tracks", "mask", "kind"}:
+            np.testing.assert_allclose(one[name], other[name], rtol=0.0, atol=3e-5, err_msg=name)
+        assert abs(int(one["mask"].sum()) - int(other["mask"].sum())) <= FRAMES
+
+
 # --- 8. No policy sees what nobody sees ------------------------------------------------------------------------
 
 

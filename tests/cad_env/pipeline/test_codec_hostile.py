@@ -21,7 +21,7 @@ from cad_env.pipeline.codec import (
     TRAILING,
     DecodeError,
     decode,
-    decode_with_places,
+    decode_message,
     encode,
     read,
     write,
@@ -46,10 +46,10 @@ def refusal(payload: bytes) -> str:
 def test_any_bytes_are_refused_or_are_the_one_spelling_of_a_graph(body: bytes):
     for payload in (body, with_crc(body), with_crc(bytes.fromhex(GOLDEN)[:12] + body)):
         try:
-            graph, places = decode_with_places(payload)
+            said = decode_message(payload)
         except DecodeError:
             continue
-        assert encode(graph, depth=payload[3], places=places) == payload
+        assert encode(said.graph, depth=payload[3], places=said.places, pose=said.pose) == payload
 
 
 @given(st.binary(max_size=100))
@@ -71,7 +71,7 @@ HEAD = bytes.fromhex("4347010f0101070040e20100")  # one track, 15 frames deep
         (with_crc(HEAD + bytes([0xFF] * 5 + [1, 1, 0, 0, 0, 0])), LONG_VARINT),
         (with_crc(HEAD + bytes([0, 1, 0, 0x81, 0xDA, 0xC4, 9, 0, 0])), OUTSIDE),
         (with_crc(b"cg" + HEAD[2:] + bytes([0, 1, 0, 0, 0, 0])), FORMAT),
-        (with_crc(HEAD[:2] + b"\x03" + HEAD[3:] + bytes([0, 1, 0, 0, 0, 0])), FORMAT),
+        (with_crc(HEAD[:2] + b"\x05" + HEAD[3:] + bytes([0, 1, 0, 0, 0, 0])), FORMAT),
         (with_crc(HEAD[:3] + b"\x00" + HEAD[4:] + bytes([0, 1, 0, 0, 0, 0])), FORMAT),
         (with_crc(HEAD[:3] + b"\x10" + HEAD[4:] + bytes([0, 1, 0, 0, 0, 0])), FORMAT),
         (with_crc(HEAD[:4] + b"\x02" + HEAD[5:] + bytes([0, 1, 0, 0, 0, 0])), FORMAT),

@@ -84,7 +84,7 @@ def test_odometry_is_where_the_ego_was_as_it_stands_now():
     trail = np.array([[0.0, float(k), math.pi / 2 + 0.01 * (k - FRAMES + 1)] for k in range(FRAMES)])
     trail[:, 2] += 8 * math.pi  # turns that wound up in the past
     view = empty_view()
-    observe_ego(view, trail, cross(), 0, 0.0, 10.0, 12.0, 4.8, 1.9)
+    observe_ego(view, trail, trail[-1], cross(), 0, 0.0, 10.0, 12.0, 4.8, 1.9)
     assert view.odometry[:, 0] == pytest.approx(np.arange(FRAMES) - 14.0, abs=1e-5)
     assert view.odometry[:, 1] == pytest.approx(0.0, abs=1e-5)
     assert view.odometry[:, 2] == pytest.approx(0.01 * np.arange(-14, 1), abs=1e-5)
@@ -94,7 +94,8 @@ def test_odometry_is_where_the_ego_was_as_it_stands_now():
 def test_the_way_ahead_starts_two_metres_on_and_goes_on_beyond_the_route():
     for progress in (100.0, 590.0):
         view = empty_view()
-        observe_ego(view, still(progress - 300.0, 0.5, 0.0), cross(), 0, progress, 10.0, 12.0, 4.8, 1.9)
+        trail = still(progress - 300.0, 0.5, 0.0)
+        observe_ego(view, trail, trail[-1], cross(), 0, progress, 10.0, 12.0, 4.8, 1.9)
         ahead = ROUTE_SPACING * np.arange(1, ROUTE_POINTS + 1)
         assert view.route == pytest.approx(np.stack([ahead, np.full(ROUTE_POINTS, -0.5)], axis=-1), abs=1e-4)
 

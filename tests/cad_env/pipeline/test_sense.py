@@ -153,6 +153,43 @@ def test_gnss_errors_have_their_size_and_leave_sensor_errors_alone():
         assert moved - fixes[step] == pytest.approx(unmoved)
 
 
+def test_a_false_alarm_is_a_second_detection_at_a_corner_and_moves_nothing_else():
+    world = boxes((0, 0, 0), (30, 5, 0.0, 4.8, 1.9))
+    config = SensorConfig(noise=0.0, miss=0.0, false_alarm=0.2)
+    found = [detect(world, 0, config, KEY, step).position[:, :2] for step in range(2000)]
+    extra = np.array([one[0] for one in found if len(one) == 2])
+    assert abs(len(extra) - 400) < 5 * math.sqrt(2000 * 0.2 * 0.8)
+    assert all((one[-1] == (30.0, 5.0)).all() for one in found)
+    assert np.abs(np.abs(extra - (30.0, 5.0)) - (2.4, 0.95)).max() < 1e-9
+    assert len(np.unique(extra, axis=0)) == 4
+
+
+def test_a_detection_is_drawn_to_what_is_seen_and_not_where_all_is():
+    half, none = (boxes((0, 0, 0), (40, 0, 0, 4.8, 4.0), (20, y, 0, 4.8, 1.9)) for y in (1.5, 30.0))
+    config = SensorConfig(noise=0.0, miss=0.0, partial=1.0)
+    (seen, _), (whole, _) = (detect(world, 0, config, KEY, 0).position for world in (half, none))
+    assert whole[:2].tolist() == [40.0, 0.0]
+    assert -2.0 < seen[1] < -0.3
+    drawn = detect(half, 0, SensorConfig(noise=0.0, miss=0.0, partial=0.5), KEY, 0).position[0]
+    assert drawn[1] == pytest.approx(0.5 * seen[1])
+
+
+def test_classes_are_wrong_at_their_rate():
+    world = boxes((0, 0, 0), (30, 5, 0))
+    wrong = [
+        detect(world, 0, SensorConfig(miss=0.0, class_error=0.1), KEY, step).kind[0] == TRUCK for step in range(3000)
+    ]
+    assert abs(sum(wrong) - 300) < 5 * math.sqrt(3000 * 0.1 * 0.9)
+
+
+def test_further_errors_leave_the_others_alone():
+    world = boxes((0, 0, 0), (30, 5, 0), (20, -9, 1.0))
+    usual, more = SensorConfig(), SensorConfig(class_error=0.5, false_alarm=0.5)
+    for step in range(200):
+        one, other = (detect(world, 0, config, KEY, step).position[:, :2].tolist() for config in (usual, more))
+        assert all(place in other for place in one)
+
+
 def test_what_is_hidden_leaves_no_trace():
     # The car behind the truck drives, grows and turns into another one: nothing that is reported changes.
     world = boxes((0, 0, 0), (20, 0, 0, 12.0, 2.5), (40, 0, 0), (30, 12, 0))

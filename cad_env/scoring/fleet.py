@@ -15,7 +15,7 @@ from cad_env.scoring.scorecard import KINDS
 from cad_env.scoring.table import percent, text_table
 from cad_env.types import BRAKE, STEP, Ints, Observation, Policy
 
-DEADLOCK = 8.0  # s for which all agents that drive must stand; in a stream no gap is that far away
+DEADLOCK = 8.0  # s for which all agents that drive must stand
 _STANDS = 0.3  # m/s
 
 

@@ -60,7 +60,7 @@ class PlacementSettings:
         settle(self, "first_seed", check_seed("first-seed", self.first_seed))
         settle(self, "out", check_path("out", self.out))
         for pose, placing in product(self.pose, self.placing):
-            pose_of(pose, placing)
+            posed(pose, placing)
         self.scenarios()
 
     def scenarios(self) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ class PlacementSettings:
 
 
 @dataclass(frozen=True)
-class Placement:
+class PlacementRow:
     """A row of the table; None where nothing was placed."""
 
     scenario: str
@@ -85,10 +85,10 @@ class Placement:
     merged_far_off: float | None
 
 
-def pose_of(name: str, placing: str) -> PoseConfig:
+def posed(name: str, placing: str) -> PoseConfig:
     """A preset, or a bias in m with as many degrees, with a way of placing.
 
-    >>> pose_of("1.5", "single").bias, pose_of("urban", "fixes").placing
+    >>> posed("1.5", "single").bias, posed("urban", "fixes").placing
     (1.5, 'fixes')
     """
     try:
@@ -106,10 +106,10 @@ class _Errors:
     placed: int = 0
 
 
-def measure(scenario: str, pose: str, placing: str, seeds: Sequence[int]) -> Placement:
+def measured(scenario: str, pose: str, placing: str, seeds: Sequence[int]) -> PlacementRow:
     """One row: the episodes of these seeds, driven by the expert."""
     simulation, expert = (
-        Simulation(setup_from({"scenario": scenario, "pose": pose_of(pose, placing)})),
+        Simulation(setup_from({"scenario": scenario, "pose": posed(pose, placing)})),
         expert_of(scenario),
     )
     errors = _Errors([], [])
@@ -178,10 +178,10 @@ def _seen_from(points: Floats, pose: tuple[float, float, float]) -> Floats:
     return np.array([between(pose, (x, y, 0.0))[:2] for x, y in points.tolist()]).reshape(-1, 2)
 
 
-def _row(scenario: str, pose: str, placing: str, episodes: int, errors: _Errors) -> Placement:
+def _row(scenario: str, pose: str, placing: str, episodes: int, errors: _Errors) -> PlacementRow:
     said, merged = np.array(errors.said), np.array(errors.merged)
     abstained = 1.0 - errors.placed / errors.heard if errors.heard else None
-    return Placement(
+    return PlacementRow(
         scenario, pose, placing, episodes, _of(said, np.median), _of(said, _rms),
         _of(said, lambda errors: np.quantile(errors, 0.95)), _of(said, _far_off), abstained, _of(merged, _rms),
         _of(merged, _far_off),
@@ -200,15 +200,15 @@ def _of(errors: Floats, what: Any) -> float | None:
     return round(float(what(errors)), 4) if len(errors) else None
 
 
-def rows_of(settings: PlacementSettings) -> Iterator[Placement]:
+def rows_of(settings: PlacementSettings) -> Iterator[PlacementRow]:
     """Row by row; exact poses are placed in one way only."""
     seeds = range(settings.first_seed, settings.first_seed + settings.episodes)
     for scenario, pose, placing in product(settings.scenarios(), settings.pose, settings.placing):
-        if not pose_of(pose, placing).exact or placing == settings.placing[-1]:
-            yield measure(scenario, pose, placing, seeds)
+        if not posed(pose, placing).exact or placing == settings.placing[-1]:
+            yield measured(scenario, pose, placing, seeds)
 
 
-def table_of(rows: Sequence[Placement]) -> str:
+def placement_table(rows: Sequence[PlacementRow]) -> str:
     """The rows as text."""
 
     def metres(value: float | None) -> str:
@@ -234,12 +234,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         settings.out.mkdir(parents=True, exist_ok=True)
         noted = {"version of cad_env": version(), "rows": [asdict(row) for row in rows]}
         replace_file(settings.out / "placement.json", (json.dumps(noted, indent=1) + "\n").encode())
-        replace_file(settings.out / "placement.md", f"```\n{table_of(rows)}\n```\n".encode())
+        replace_file(settings.out / "placement.md", f"```\n{placement_table(rows)}\n```\n".encode())
     except (ValueError, OSError) as error:
         return refused(error)
     except KeyboardInterrupt as error:
         return stopped(error)
-    say(table_of(rows))
+    say(placement_table(rows))
     return 0
 
 

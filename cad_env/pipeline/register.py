@@ -34,8 +34,8 @@ from cad_env.pipeline.stated_pose import STATED
 from cad_env.types import FRAMES, Floats, GraphArrays, Ints
 
 FIXES, NEAREST, SINGLE, REGISTERED = (PLACINGS.index(name) for name in ("fixes", "nearest", "single", "registered"))
-UNKNOWN, ABSTAINS, PLACED = 0, 1, 2  # how a sender stands with a receiver
-NOBODY = -1  # in place of the sender's track that is the receiver itself
+UNHEARD, ABSTAINS, PLACED = 0, 1, 2  # how a sender stands with a receiver
+NOT_THERE = -1  # in place of the sender's track that is the receiver itself
 
 MOST_SPREAD = 1.25  # m, standard deviation LEVER away from the sender, above which it is not sure enough
 LEVER = 30.0  # m
@@ -69,10 +69,10 @@ class Relations(NamedTuple):
     body: Floats  # (R, V, 3) the sender's body then, in its own frame
     there: Floats  # (R, V, 3) the same in the receiver's frame
     covariance: Floats  # (R, V, 3, 3) of `there`
-    state: Ints  # (R, V) UNKNOWN, ABSTAINS or PLACED
+    state: Ints  # (R, V) UNHEARD, ABSTAINS or PLACED
     kept: Ints  # (R, V) 1 where pairs have refined `there`
     support: Ints  # (R, V) messages by which pairs have borne out `there`, less those by which they have not
-    me: Ints  # (R, V) the sender's track that is the receiver, or NOBODY
+    me: Ints  # (R, V) the sender's track that is the receiver, or NOT_THERE
     rows: GraphArrays  # scratch: a sender's rows in the receiver's frame
     spread: Floats  # scratch: (rows,) m, their standard deviations
     pair: Ints  # scratch: (C, 2) candidates: rows of the sender and the receiver
@@ -92,10 +92,10 @@ def new_relations(receivers: int, vehicles: int, rows: GraphArrays, exact: bool)
         body=np.zeros((*shape, 3)),
         there=np.zeros((*shape, 3)),
         covariance=np.zeros((*shape, 3, 3)),
-        state=np.full(shape, UNKNOWN),
+        state=np.full(shape, UNHEARD),
         kept=np.zeros(shape, np.int64),
         support=np.zeros(shape, np.int64),
-        me=np.full(shape, NOBODY),
+        me=np.full(shape, NOT_THERE),
         rows=rows,
         spread=np.zeros(most),
         pair=np.zeros((_CANDIDATES, 2), np.int64),
@@ -110,7 +110,7 @@ def hear(relations: Relations, r: int, v: int, kept: GraphArrays, stated: Floats
     """Take in the pose (STATED,) that a message of step `sent` states; kept: its rows, already received."""
     newest = FRAMES - 1 - age
     body = (kept.position[0, newest, 0], kept.position[0, newest, 1], stated[0])
-    if relations.state[r, v] != UNKNOWN:
+    if relations.state[r, v] != UNHEARD:
         _go_on(relations, r, v, body, sent - relations.sent[r, v])
     put_pose_in(relations.body[r, v], body)
     for k in range(STATED):
@@ -142,7 +142,7 @@ def _carry(covariance: Floats, dx: float, dy: float) -> None:
 
 
 @compiled_part
-def register(
+def place_sender(
     relations: Relations, poses: Poses, r: int, v: int, own: GraphArrays, kept: GraphArrays, trail: Floats
 ) -> None:
     """Place sender v in receiver r's frame, if a message of it has come; own and kept: the rows of both."""
@@ -162,7 +162,7 @@ def register(
             there[i] = fix[i]
             for j in range(3):
                 covariance[i, j] = by_fix[i, j]
-    relations.me[r, v] = NOBODY
+    relations.me[r, v] = NOT_THERE
     if placing == FIXES:
         relations.state[r, v] = PLACED if said else ABSTAINS
     elif placing == NEAREST:

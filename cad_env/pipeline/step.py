@@ -27,7 +27,7 @@ from cad_env.pipeline.radio import (
     is_as_sent,
     send,
 )
-from cad_env.pipeline.register import LEVER, PLACED, hear, place_rows, register, spread_at
+from cad_env.pipeline.register import LEVER, PLACED, hear, place_rows, place_sender, spread_at
 from cad_env.pipeline.sense import CENTRE_HEIGHT, Sensing, fix_pose, outline, sense
 from cad_env.pipeline.track import Tracks, confirmed, seen_now, update
 from cad_env.types import FRAMES, Bytes, Floats, GraphArrays, Ints
@@ -234,7 +234,7 @@ def deliver(world: World, lanes: Lanes, fleet: Fleet, link: Link, key: Ints, ste
 def _find(fleet: Fleet, r: int, v: int, sent: int, age: int) -> None:
     """Place the sender of the message that receiver r has just received in the frame of r."""
     hear(fleet.relations, r, v, _kept_at(fleet.kept, r, v), fleet.stated, sent, age)
-    register(
+    place_sender(
         fleet.relations, fleet.poses, r, v, _rows_at(fleet.window, r), _kept_at(fleet.kept, r, v), fleet.trail[r]
     )  # fmt: skip
 

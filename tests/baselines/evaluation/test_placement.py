@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from baselines.evaluation.placement import PlacementSettings, main, measure, rows_of, table_of
+from baselines.evaluation.placement import PlacementSettings, main, measured, placement_table, rows_of
 
 SOME = ("--scenario", "left_turn", "--episodes", "2")
 
@@ -24,12 +24,12 @@ def test_a_run_writes_what_it_prints(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_who_is_denied_is_placed_by_what_it_sees_or_not_at_all() -> None:
-    by_fixes, registered = (measure("left_turn", "denied", placing, range(3)) for placing in ("fixes", "registered"))
+    by_fixes, registered = (measured("left_turn", "denied", placing, range(3)) for placing in ("fixes", "registered"))
     assert by_fixes.abstained == 1.0
     assert by_fixes.said_rms is None
     assert registered.abstained < 0.5
     assert registered.said_rms < 0.5
-    assert "-" in table_of([by_fixes])
+    assert "-" in placement_table([by_fixes])
 
 
 def test_a_number_is_a_bias() -> None:

@@ -9,7 +9,7 @@ from cad_env.config import PLACINGS, PoseConfig
 from cad_env.numerics.jit import compiled
 from cad_env.pipeline.graph_arrays import empty_graph_arrays
 from cad_env.pipeline.poses import Poses, new_poses
-from cad_env.pipeline.register import ABSTAINS, PLACED, Relations, hear, new_relations, place_rows, register
+from cad_env.pipeline.register import ABSTAINS, PLACED, Relations, hear, new_relations, place_rows, place_sender
 from cad_env.types import FRAMES, STEP, TRUCK, Floats, GraphArrays
 
 EGO, SENDER = np.array([3.0, -7.0, 0.4]), np.array([42.0, 11.0, 2.6])  # poses in the world, in the newest frame
@@ -56,7 +56,7 @@ def standing(pose: Floats) -> Floats:
 def tell(relations: Relations, poses: Poses, v: int, own: GraphArrays, kept: GraphArrays, trail: Floats, stated: Floats,
          step: int) -> None:  # fmt: skip
     hear(relations, 0, v, kept, stated, step, 0)
-    register(relations, poses, 0, v, own, kept, trail)
+    place_sender(relations, poses, 0, v, own, kept, trail)
 
 
 EXACTLY = np.zeros(3)
@@ -243,4 +243,4 @@ def test_law_4_a_message_that_was_taken_in_changes_nothing_more() -> None:
 
 @compiled
 def settle(relations: Relations, poses: Poses, own: GraphArrays, kept: GraphArrays, trail: Floats) -> None:
-    register(relations, poses, 0, 1, own, kept, trail)
+    place_sender(relations, poses, 0, 1, own, kept, trail)

@@ -104,7 +104,7 @@ WRONG = [
     ("ranges", {"ego_sped": 1}, "unknown left_turn range ego_sped=1"),
     ("scenario", "right_turn", "unknown scenario 'right_turn'"),
     ("layers", ("x-ray",), "x-ray"),
-    ("reward", "points", "reward must be a function of a StepOutcome or one of progress, safety-first, time-and-safety, got 'points'"),
+    ("reward", "points", "reward must be a function of a StepOutcome or one of progress, safety-first"),
     ("cloud", CloudConfig(), "cloud is a part of the observation and cannot change later"),
 ]
 

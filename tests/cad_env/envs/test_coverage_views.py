@@ -34,7 +34,7 @@ def test_gymnasium_s_checker_finds_nothing(scenario: str) -> None:
 
 
 def test_pettingzoo_s_test_finds_nothing() -> None:
-    env = CADParallelEnv(scenario="street_crossing", coverage=True)
+    env = CADParallelEnv(scenario="street_crossing", coverage=True, waiting=True)
     parallel_api_test(env, num_cycles=50)
     observations, _ = env.reset(seed=1)
     assert all(env.observation_space(agent).contains(seen) for agent, seen in observations.items())

@@ -113,7 +113,7 @@ def test_every_agent_holds_and_who_leaves_meanwhile_is_as_it_left(fixed: bool) -
 
 
 def test_it_is_an_environment_of_pettingzoo() -> None:
-    parallel_api_test(HoldParallel(CADParallelEnv(), 5), num_cycles=100)
+    parallel_api_test(HoldParallel(CADParallelEnv(waiting=True), 5), num_cycles=100)
 
 
 def test_a_time_limit_ends_an_episode_while_a_decision_holds() -> None:

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, state_test
 from pettingzoo.utils import parallel_to_aec
+from scenes import everybody as parallel_env
 
-import cad_env
 from cad_env.envs.fixed_agents import FixedAgents
 from cad_env.envs.global_state import STATE_FEATURES, STATE_VEHICLES
-from cad_env.envs.parallel import parallel_env
 from cad_env.envs.single import CADEnv
 from cad_env.types import GO, MAX_STEPS
 from cad_env.world.state import OFF
@@ -25,16 +24,16 @@ ID = "CADLeftTurn-v0"
 def test_pettingzoo_s_own_test_passes_without_a_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        parallel_api_test(cad_env.parallel_env(ID), num_cycles=1000)
-        parallel_seed_test(lambda: cad_env.parallel_env(ID), num_cycles=50)
+        parallel_api_test(parallel_env(ID), num_cycles=1000)
+        parallel_seed_test(lambda: parallel_env(ID), num_cycles=50)
 
 
 def test_the_turn_based_form_passes_pettingzoo_s_tests_too():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", "Observation (is not a NumPy array|space for each agent probably should be)")
-        api_test(parallel_to_aec(cad_env.parallel_env(ID)), num_cycles=300)
-        state_test(parallel_to_aec(cad_env.parallel_env(ID)), cad_env.parallel_env(ID), num_cycles=20)
+        api_test(parallel_to_aec(parallel_env(ID)), num_cycles=300)
+        state_test(parallel_to_aec(parallel_env(ID)), parallel_env(ID), num_cycles=20)
     max_cycles_test(
         SimpleNamespace(
             parallel_env=lambda max_cycles: parallel_env(max_cycles=max_cycles),

@@ -74,7 +74,7 @@ def test_the_least_time_to_contact_of_every_agent_is_its_own() -> None:
     _, info = env.reset(seed=SEED, options={"hazard": True})
     while info["outcome"] is None:
         _, _, _, _, info = env.step(GO)
-    fleet = CADParallelEnv(reward=lambda step: step.min_ttc, ranges=FLEET["ranges"])
+    fleet = CADParallelEnv(waiting=True, reward=lambda step: step.min_ttc, ranges=FLEET["ranges"])
     fleet.reset(seed=SEED, options={"hazard": True})
     differs = False
     while "cav_0" in fleet.agents:

@@ -25,7 +25,7 @@ WRONG = [
     ({"radio": 5}, "unknown radio 5"),
     ({"radio": None}, "unknown radio None"),
     ({"radio": ["dsrc"]}, "unknown radio ['dsrc']"),
-    ({"sensor": {"rnage": 1.0}}, "unknown sensor setting rnage=1.0: choose among gnss_noise, gnss_yaw_noise"),
+    ({"sensor": {"rnage": 1.0}}, "unknown sensor setting rnage=1.0: choose among class_error, false_alarm, gnss_noise"),
     ({"sensor": {"miss": -0.1}}, "sensor miss must be a number from 0 to 1, got -0.1"),
     ({"sensor": 80.0}, "sensor must be a SensorConfig or a dict of its settings, got 80.0"),
     ({"ranges": {"ego_sped": 1}}, "unknown left_turn range ego_sped=1: choose among"),

@@ -40,8 +40,8 @@ bench:
 
 # The models that ship with the package: those of the main job and of the paper's network, which know all scenarios.
 weights:
-	$(RUN)/python train.py --method stgraph-motion stgraph-motion-own stgraph stgraph-own --score 0
-	for name in stgraph-motion stgraph-motion-own stgraph stgraph-own; do \
+	$(RUN)/python train.py --method stgraph-motion stgraph-motion-own stgraph-coverage stgraph stgraph-own --score 0
+	for name in stgraph-motion stgraph-motion-own stgraph-coverage stgraph stgraph-own; do \
 	  mkdir -p policies/weights/all/$$name && \
 	  cp runs/all/$$name/model.safetensors runs/all/$$name/config.json policies/weights/all/$$name/; \
 	done

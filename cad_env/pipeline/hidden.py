@@ -25,7 +25,8 @@ HALF = (2.1, 4.0)  # m, half the length of the shortest car and truck that the s
 STANDING_SPEED = 0.5  # m/s of a track of LONG frames or more, below which it is taken to stand
 LONG = 8  # frames from the oldest node of a track to its newest
 FRESH = 10  # frames, after which a node does not tell where a vehicle is any more
-PATIENCE, MOST = 20, 250  # steps
+PATIENCE = 20  # steps lost, after which who is hidden is taken to stand
+_MOST = 250  # steps that are counted
 FOLLOWS = 4  # places behind a known vehicle, in which whoever is hidden moves as it does
 UNDER, LEADS, CLOSED = 1, 2, 3  # in `known`: nobody else can be there; it moves along the lane; nobody comes through
 
@@ -67,7 +68,7 @@ def grow(hidden: Hidden, lanes: Lanes, route: int) -> None:
         for i in range(PLACES - 1, 0, -1):
             came, stayed = places[i - 1] * wall[i], places[i]
             if stayed:
-                stayed = min(stayed + 1, MOST)
+                stayed = min(stayed + 1, _MOST)
             places[i] = stayed if came == 0 or 0 < stayed < came else came
         _flow(places, known)
         for i in range(min(lanes.first[b] + 1, PLACES)):  # where vehicles enter what is known of a lane

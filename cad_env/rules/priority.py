@@ -41,7 +41,7 @@ SQUARE = 0.25 * math.pi  # rad around a right angle, within which another comes 
 WAY = 80.0  # m of its way that the ego looks at
 STEP_ON_WAY = 0.5  # m
 CAR_CORE = 3.4  # m of a car that stands, which are taken up whatever it heads to
-CLOSE = 0.3  # m by which the ego is longer and wider where it passes who stands
+_PASSING = 0.3  # m by which the ego is longer and wider where it passes who stands
 
 
 class PriorityRule(NamedTuple):
@@ -160,7 +160,7 @@ def _touches(way: Floats, ego: Floats, other: Floats, reach: float) -> bool:
     for step in range(int(reach / STEP_ON_WAY) + 1):
         x, y, heading = box_on_way(way, step * STEP_ON_WAY)
         if boxes_touch(
-            x, y, heading, ego[2] + CLOSE, ego[3] + CLOSE, other[0], other[1], other[2], other[4], other[5]
+            x, y, heading, ego[2] + _PASSING, ego[3] + _PASSING, other[0], other[1], other[2], other[4], other[5]
         ):  # fmt: skip
             return True
     return False

@@ -15,12 +15,12 @@ from cad_env.scenarios.vehicles import car_body, hidden_stream, rows_from, vehic
 from cad_env.types import TRUCK, Command
 from cad_env.world.state import IDM, STANDING, YIELDING
 
-LANE = 3.5  # m wide, one each way
+_LANE = 3.5  # m wide, one each way
 STOP = 9.0  # m from the centre to the line where whoever gives way waits
 FAR = 560.0  # m from the far end of an arm to the centre: a stream of 13 m/s lasts 40 s
 END = 120.0  # m from the centre to where the roads out end
 LINE = FAR - STOP  # m along every route to its line
-_HALF = 0.5 * LANE
+_HALF = 0.5 * _LANE
 LEFT_RADIUS, RIGHT_RADIUS = STOP + _HALF, STOP - _HALF  # m
 _COMMAND = {"left": Command.TURN_LEFT, "through": Command.GO_STRAIGHT, "right": Command.TURN_RIGHT}
 _EXIT = {"left": -1, "through": 2, "right": 1}  # where a turn leads, counted in ARMS from where it comes from
@@ -43,7 +43,7 @@ def _add_arm(network: RoadNetwork, quarter: int, arm: str) -> None:
     across, left, right = (exit_of(arm, way) for way in ("through", "left", "right"))
 
     def straight(start: str, end: str, y: float, to: float, lines: list[int]) -> None:
-        network.add_lane(start, end, StraightLane(turn @ [_HALF, y], turn @ [_HALF, to], LANE, lines))
+        network.add_lane(start, end, StraightLane(turn @ [_HALF, y], turn @ [_HALF, to], _LANE, lines))
 
     # highway-env paints the side of its negative lateral axis first: in our axes that is the right.
     straight(f"{arm}_far", f"{arm}_line", -FAR, -STOP, [solid, dashed])
@@ -55,7 +55,7 @@ def _add_arm(network: RoadNetwork, quarter: int, arm: str) -> None:
     ):
         lane = CircularLane(
             turn @ [corner, -STOP], radius, angle + start, angle + start + sense * 0.5 * np.pi,
-            clockwise=sense > 0.0, width=LANE, line_types=[none, none],
+            clockwise=sense > 0.0, width=_LANE, line_types=[none, none],
         )  # fmt: skip
         network.add_lane(f"{arm}_line", f"{to}_out", lane)
 

@@ -12,12 +12,12 @@ from cad_env.numerics.jit import compiled
 from cad_env.world.state import OFF, STANDING, STREAM, Routes, World
 
 BEGINS = 45.0  # m before its line, from where on a driver looks out for others
-MARGIN = 1.0  # s between one and another on the same ground
+_APART = 1.0  # s between one and another on the same ground
 STOPS = 6.0  # m/s2: whoever would have to brake harder for its line goes on
 STARTS = 2.0  # m/s2
 BEFORE_LINE = 1.0  # m before its line, where whoever gives way comes to stand
 AT_LINE = 4.0  # m before its line, within which a vehicle that stands waits there
-STANDS = 0.3  # m/s
+_STANDS = 0.3  # m/s
 
 
 @compiled
@@ -36,7 +36,7 @@ def is_committed(world: World, routes: Routes, i: int) -> bool:
 def waits_at_line(world: World, routes: Routes, i: int) -> bool:
     """True if vehicle i stands at its line."""
     return bool(
-        world.speed[i] < STANDS and 0.0 <= distance_to_line(world, routes, i) < AT_LINE and world.driver[i] != STANDING
+        world.speed[i] < _STANDS and 0.0 <= distance_to_line(world, routes, i) < AT_LINE and world.driver[i] != STANDING
     )
 
 
@@ -54,7 +54,7 @@ def seconds_to(speed: float, wanted: float, distance: float) -> float:
 
 @compiled
 def meets_in_time(world: World, routes: Routes, i: int, j: int) -> bool:
-    """True if vehicles i and j would be less than MARGIN apart on the ground that both need."""
+    """True if vehicles i and j would be less than _APART apart on the ground that both need."""
     a, b = world.route[i], world.route[j]
     front, rear = world.progress[i] + 0.5 * world.size[i, 0], world.progress[i] - 0.5 * world.size[i, 0]
     other_front, other_rear = world.progress[j] + 0.5 * world.size[j, 0], world.progress[j] - 0.5 * world.size[j, 0]
@@ -63,8 +63,8 @@ def meets_in_time(world: World, routes: Routes, i: int, j: int) -> bool:
     into = seconds_to(world.speed[i], world.target_speed[i], routes.meets[a, b, 0] - front)
     out = seconds_to(world.speed[i], world.target_speed[i], routes.meets[a, b, 1] - rear)
     other_into = seconds_to(world.speed[j], world.target_speed[j], routes.meets[a, b, 2] - other_front)
-    other_out = (routes.meets[a, b, 3] - other_rear) / max(world.speed[j], STANDS)
-    return out + MARGIN > other_into and other_out + MARGIN > into
+    other_out = (routes.meets[a, b, 3] - other_rear) / max(world.speed[j], _STANDS)
+    return out + _APART > other_into and other_out + _APART > into
 
 
 @compiled
@@ -91,7 +91,7 @@ def gives_way(world: World, routes: Routes, i: int) -> bool:
         if is_committed(world, routes, j):
             return True
         if routes.yields[world.route[i], world.route[j]]:
-            if world.speed[j] > STANDS:
+            if world.speed[j] > _STANDS:
                 return True
             stuck = stuck or waits_at_line(world, routes, j)  # who stands farther back has somebody before it
     return stuck and not goes_first(world, routes, i)

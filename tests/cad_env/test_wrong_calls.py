@@ -65,7 +65,7 @@ CALLS: list[tuple[Call, type[Exception], str]] = [
     (lambda: parallel_env().step({}), RuntimeError, "call reset() before step()"),
     (lambda: stepped(CADEnv(), [[0], [0, 1]]), ValueError, "action must be 0 (go) or 1 (brake), got [[0], [0, 1]]"),
     (lambda: stepped(CADVectorEnv(2), [[0], [0, 1]]), ValueError, "actions must be 2 times 0 (go) or 1 (brake), got"),
-    (lambda: stepped(parallel_env(), None), ValueError, "actions must be a dict with one for each of ['cav_0', "),
+    (lambda: stepped(parallel_env(), None), ValueError, "actions must be a dict with one for each of ['cav_0'"),
     (lambda: stepped(parallel_env(), [0, 0, 0, 0]), ValueError, "actions must be a dict with one for each of ['cav_0'"),
     # Options of a reset.
     (lambda: CADEnv().reset(options=3), ValueError, "options must be a dict of reset options (hazard, config), got 3"),
@@ -119,7 +119,7 @@ CALLS: list[tuple[Call, type[Exception], str]] = [
     (lambda: PlannerConfig(margin="x"), ValueError, "margin must be a number from 0 to 5, got 'x'"),
     # Misspelt names of settings records: TypeError is what Python itself would raise.
     (lambda: RadioConfig(los=1), (TypeError, ValueError), "unknown radio setting los=1: choose among burst, dela"),
-    (lambda: SensorConfig(rnage=1), (TypeError, ValueError), "unknown sensor setting rnage=1: choose among gnss_nois"),
+    (lambda: SensorConfig(rnage=1), (TypeError, ValueError), "unknown sensor setting rnage=1: choose among class_error"),
     (lambda: CloudConfig(beam=1), (TypeError, ValueError), "unknown cloud setting beam=1: choose among azimuths, bea"),
     (lambda: Setup(radoi=1), (TypeError, ValueError), "unknown option radoi=1: choose among cloud, codec, coverage, d"),
 ]  # fmt: skip

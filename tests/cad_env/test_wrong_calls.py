@@ -119,7 +119,7 @@ CALLS: list[tuple[Call, type[Exception], str]] = [
     (lambda: PlannerConfig(margin="x"), ValueError, "margin must be a number from 0 to 5, got 'x'"),
     # Misspelt names of settings records: TypeError is what Python itself would raise.
     (lambda: RadioConfig(los=1), (TypeError, ValueError), "unknown radio setting los=1: choose among burst, dela"),
-    (lambda: SensorConfig(rnage=1), (TypeError, ValueError), "unknown sensor setting rnage=1: choose among class_error"),
+    (lambda: SensorConfig(rnage=1), (TypeError, ValueError), "unknown sensor setting rnage=1: choose among class_e"),
     (lambda: CloudConfig(beam=1), (TypeError, ValueError), "unknown cloud setting beam=1: choose among azimuths, bea"),
     (lambda: Setup(radoi=1), (TypeError, ValueError), "unknown option radoi=1: choose among cloud, codec, coverage, d"),
 ]  # fmt: skip

@@ -178,7 +178,11 @@ def test_a_wrong_call_is_refused_in_one_line(way: str):
 
 
 def test_every_environment_counts_them():
-    single, many, fleet = CADEnv(radio="ideal"), CADVectorEnv(3, radio="ideal"), CADParallelEnv(radio="ideal")
+    single, many, fleet = (
+        CADEnv(radio="ideal"),
+        CADVectorEnv(3, radio="ideal"),
+        CADParallelEnv(radio="ideal", waiting=True),
+    )
     assert single.reset(seed=SEED)[1]["messages_refused"] == 0
     assert many.reset(seed=SEED)[1]["messages_refused"].tolist() == [0, 0, 0]
     assert {info["messages_refused"] for info in fleet.reset(seed=SEED)[1].values()} == {0}

@@ -150,7 +150,7 @@ def _said_errors(simulation: Simulation, v: int) -> Iterator[float]:
     found = from_to(tuple(relations.body[0, v]), tuple(relations.there[0, v]))
     own, its = (tuple(fleet.trail[k, FRAMES - 1]) for k in (0, v))
     meant = compose(from_to(_pose(simulation, 0), own), from_to(its, _pose(simulation, v)))
-    for i in np.flatnonzero(kept.mask[0, v, : kept.used[0, v], -1]):
+    for i in np.flatnonzero(kept.mask[0, v, : kept.used[0, v, 0], -1]):
         if kept.track[0, v, i] != relations.me[0, v]:
             node = (*kept.position[0, v, i, -1, :2].tolist(), 0.0)
             one, other = compose(found, node), compose(meant, node)

@@ -62,13 +62,15 @@ class Condition:
 
     def radio(self, usual: RadioConfig) -> RadioConfig:
         """A radio with this loss, burst and delay, as far as the condition names them."""
-        chosen = {each: getattr(self, each) for each in _RADIO}
-        return replace(usual, **{each: value for each, value in chosen.items() if value is not None})
+        return replace(usual, **self._named(_RADIO))
 
     def sensor(self, usual: SensorConfig) -> SensorConfig:
         """A sensor with these errors, as far as the condition names them."""
-        chosen = {each: getattr(self, each) for each in _SENSOR}
-        return replace(usual, **{each: value for each, value in chosen.items() if value is not None})
+        return replace(usual, **self._named(_SENSOR))
+
+    def _named(self, names: Iterable[str]) -> dict[str, Any]:
+        """Those of these settings that the condition names."""
+        return {each: getattr(self, each) for each in names if getattr(self, each) is not None}
 
     def options(self, radio: RadioConfig, sensor: SensorConfig | None = None) -> dict[str, Any]:
         """The options of an environment (`CADEnv`, `setup_from`) that this condition decides, over radio and sensor."""

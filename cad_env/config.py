@@ -1,7 +1,7 @@
 """The knobs of sensing and sharing: frozen, with units, and checked when they are made."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import wraps
 from numbers import Real
@@ -14,6 +14,7 @@ from cad_env.checks import check_range as check_range
 from cad_env.types import FRAMES, STEP
 
 Config = TypeVar("Config", bound=type)
+_Record = TypeVar("_Record")
 
 
 class UnknownNameError(ConfigError, TypeError):
@@ -150,12 +151,16 @@ RADIO_PRESETS = MappingProxyType(
 
 def radio_config(radio: str | RadioConfig) -> RadioConfig:
     """A preset by name, or the given configuration as it is."""
-    if isinstance(radio, RadioConfig):
-        return radio
-    if not isinstance(radio, str) or radio not in RADIO_PRESETS:
-        choices = f"choose one of {', '.join(RADIO_PRESETS)} or give a RadioConfig"
-        raise ConfigError(f"unknown radio {radio!r}: {choices}{did_you_mean(radio, RADIO_PRESETS)}")
-    return RADIO_PRESETS[radio]
+    return _preset("radio", radio, RadioConfig, RADIO_PRESETS)
+
+
+def _preset(what: str, given: Any, kind: type[_Record], presets: Mapping[str, _Record]) -> _Record:
+    if isinstance(given, kind):
+        return given
+    if not isinstance(given, str) or given not in presets:
+        choices = f"choose one of {', '.join(presets)} or give a {kind.__name__}"
+        raise ConfigError(f"unknown {what} {given!r}: {choices}{did_you_mean(given, presets)}")
+    return presets[given]
 
 
 PLACINGS = ("fixes", "nearest", "single", "registered")  # how a receiver places what a sender says
@@ -229,9 +234,4 @@ POSE_PRESETS = MappingProxyType(
 
 def pose_config(pose: str | PoseConfig) -> PoseConfig:
     """A preset by name, or the given configuration as it is."""
-    if isinstance(pose, PoseConfig):
-        return pose
-    if not isinstance(pose, str) or pose not in POSE_PRESETS:
-        choices = f"choose one of {', '.join(POSE_PRESETS)} or give a PoseConfig"
-        raise ConfigError(f"unknown pose {pose!r}: {choices}{did_you_mean(pose, POSE_PRESETS)}")
-    return POSE_PRESETS[pose]
+    return _preset("pose", pose, PoseConfig, POSE_PRESETS)

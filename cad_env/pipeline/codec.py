@@ -200,33 +200,34 @@ def read(buffer: Bytes, length: int, header: Ints, rows: GraphArrays) -> int:
 @compiled
 def read_with_places(buffer: Bytes, length: int, header: Ints, rows: GraphArrays, places: Bytes) -> int:
     """As `read`, of both versions, with the places (B, P) that are vouched for: none by the first version."""
-    rows.used[0] = 0
-    places[:] = 0
-    status = _check_envelope(buffer, length, VERSION, WITH_PLACES)
-    if status != DECODED:
-        return status
-    at = _take_graph(buffer, length, header, rows)
-    if at >= 0 and buffer[2] == WITH_PLACES:
-        at = take_places(buffer, at, length - _CRC, places)
+    at = _take_graph_and_places(buffer, length, VERSION, WITH_PLACES, header, rows, places)
     return -at if at < 0 else _end(rows, int(buffer[5]), at, length)
 
 
 @compiled
 def read_with_pose(buffer: Bytes, length: int, header: Ints, rows: GraphArrays, places: Bytes, stated: Floats) -> int:
     """As `read_with_places`, of the versions that state a pose, and that pose (STATED,)."""
-    rows.used[0] = 0
-    places[:] = 0
-    status = _check_envelope(buffer, length, WITH_POSE, WITH_POSE_AND_PLACES)
-    if status != DECODED:
-        return status
-    at = _take_graph(buffer, length, header, rows)
-    if at >= 0 and buffer[2] == WITH_POSE_AND_PLACES:
-        at = take_places(buffer, at, length - _CRC, places)
+    at = _take_graph_and_places(buffer, length, WITH_POSE, WITH_POSE_AND_PLACES, header, rows, places)
     if at >= 0:
         at = take_stated_pose(buffer, at, length - _CRC, stated)
     if at >= 0 and (buffer[5] == 0 or rows.track[0] != 0 or not rows.mask[0, FRAMES - 1]):
         return NO_BODY
     return -at if at < 0 else _end(rows, int(buffer[5]), at, length)
+
+
+@compiled_part
+def _take_graph_and_places(buffer: Bytes, length: int, without: int, with_places: int, header: Ints,
+                           rows: GraphArrays, places: Bytes) -> int:  # fmt: skip
+    """Read a message of one of two versions up to the places, which one of them has; answers as `_take_graph`."""
+    rows.used[0] = 0
+    places[:] = 0
+    status = _check_envelope(buffer, length, without, with_places)
+    if status != DECODED:
+        return -status
+    at = _take_graph(buffer, length, header, rows)
+    if at >= 0 and buffer[2] == with_places:
+        at = take_places(buffer, at, length - _CRC, places)
+    return int(at)
 
 
 @compiled_part

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from cad_env.numerics.jit import compiled, compiled_part, inlined_part
+from cad_env.numerics.rigid import turned
 from cad_env.types import (
     COMMANDS,
     FRAMES,
@@ -145,8 +146,7 @@ def observe_ego(view: View, trail: Floats, place: Floats, routes: Routes, route:
         dx, dy = trail[t, 0] - x, trail[t, 1] - y
         view.odometry[t, 0] = _clip(dx * cos + dy * sin)
         view.odometry[t, 1] = _clip(dy * cos - dx * sin)
-        turn = trail[t, 2] - heading
-        view.odometry[t, 2] = math.atan2(math.sin(turn), math.cos(turn))
+        view.odometry[t, 2] = turned(trail[t, 2] - heading)
     x, y, heading = place[0], place[1], place[2]
     cos, sin = math.cos(heading), math.sin(heading)
     view.ego[0], view.ego[1] = min(speed, MAX_SPEED), min(target_speed, MAX_SPEED)

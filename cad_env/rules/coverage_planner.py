@@ -64,16 +64,8 @@ class CoverageConfig:
     rules: PlannerConfig = field(default_factory=PlannerConfig)  # about the vehicles that it knows
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            "",
-            {
-                "short": (0.0, 10.0),
-                "spare": (0.0, 10.0),
-                "meeting": (0.0, 10.0),
-                "watch": (0.0, 200.0),
-            },
-        )
+        limits = {"short": (0.0, 10.0), "spare": (0.0, 10.0), "meeting": (0.0, 10.0), "watch": (0.0, 200.0)}
+        check_numbers(self, "", limits)
 
     @property
     def reserve(self) -> Reserve:
@@ -89,14 +81,27 @@ def is_last_chance(reach: float, speed: float, short: float) -> bool:
 
 
 @compiled
+def before_on(lane: Floats, other: Floats) -> float:
+    """m before the conflict of a lane (F,), at which a vehicle (6,) on it is; negative: beyond it; inf: beside it."""
+    dx, dy = other[0] - lane[0], other[1] - lane[1]
+    if not abs(dy * lane[2] - dx * lane[3]) < HALF_LANE:
+        return math.inf
+    return float(-(dx * lane[2] + dy * lane[3]))
+
+
+@compiled
+def heads_along(lane: Floats, other: Floats) -> bool:
+    """Whether a vehicle (6,) heads as a lane (F,) does."""
+    return bool(math.cos(other[2]) * lane[2] + math.sin(other[2]) * lane[3] > ALONG)
+
+
+@compiled
 def distance_on(lane: Floats, other: Floats) -> float:
     """m before the conflict of a lane (F,), at which a vehicle (6,) that moves towards it on that lane is; inf: not."""
-    dx, dy = other[0] - lane[0], other[1] - lane[1]
-    before, beside = -(dx * lane[2] + dy * lane[3]), dy * lane[2] - dx * lane[3]
-    along = math.cos(other[2]) * lane[2] + math.sin(other[2]) * lane[3]
-    if other[3] < SLOWEST or along < ALONG or abs(beside) > HALF_LANE or not 0.0 < before < BEYOND:
+    before = before_on(lane, other)
+    if other[3] < SLOWEST or not heads_along(lane, other) or not 0.0 < before < BEYOND:
         return math.inf
-    return float(before)
+    return before
 
 
 @compiled
@@ -104,9 +109,8 @@ def closed_at(lane: Floats, others: Floats) -> float:
     """m before the conflict of a lane (F,), at which the first of `others` that stands on it is; inf: none does."""
     nearest = math.inf
     for k in range(others.shape[0]):
-        dx, dy = others[k, 0] - lane[0], others[k, 1] - lane[1]
-        before, beside = -(dx * lane[2] + dy * lane[3]), dy * lane[2] - dx * lane[3]
-        if others[k, 3] < SLOWEST and abs(beside) < HALF_LANE and 0.0 < before < nearest:
+        before = before_on(lane, others[k])
+        if others[k, 3] < SLOWEST and 0.0 < before < nearest:
             nearest = before
     return nearest
 
@@ -187,35 +191,15 @@ def lane_of(lanes: LaneView, ego: Floats, brakes: bool, short: float, other: Flo
     where = ELSEWHERE
     for k in range(lanes.lane_mask.shape[0]):
         lane = lanes.lanes[k]
-        dx, dy = other[0] - lane[0], other[1] - lane[1]
-        along = math.cos(other[2]) * lane[2] + math.sin(other[2]) * lane[3]
-        if lanes.lane_mask[k] and along > ALONG and abs(dy * lane[2] - dx * lane[3]) < HALF_LANE:
+        if lanes.lane_mask[k] and heads_along(lane, other) and before_on(lane, other) < math.inf:
             where = max(where, standing_to(lane, ego, brakes, short))
     return where
 
 
 @compiled
-def those_not_behind(others: Floats) -> Floats:
-    """The rows (n, 6) of others, in the ego's frame, but for those behind it that drive as it does: they see it."""
-    kept = np.empty_like(others)
-    n = 0
-    for k in range(others.shape[0]):
-        if others[k, 0] >= 0.0 or math.cos(others[k, 2]) < ALONG:
-            kept[n] = others[k]
-            n += 1
-    return kept[:n]
-
-
-@compiled
-def those_on(lanes: LaneView, ego: Floats, brakes: bool, short: float, others: Floats, where: int) -> Floats:
-    """The rows (n, 6) of others of whom `lane_of` says `where`."""
-    kept = np.empty_like(others)
-    n = 0
-    for k in range(others.shape[0]):
-        if lane_of(lanes, ego, brakes, short, others[k]) == where:
-            kept[n] = others[k]
-            n += 1
-    return kept[:n]
+def is_behind(other: Floats) -> bool:
+    """Whether a vehicle (6,), in the ego's frame, is behind it and drives as it does: it sees the ego."""
+    return bool(other[0] < 0.0 and math.cos(other[2]) >= ALONG)
 
 
 @compiled
@@ -226,14 +210,16 @@ def decide_on_lanes(view: View, lanes: LaneView, rule: Rule, reserve: Reserve) -
     before a lane that it has not entered it can always wait.
     """
     way, ego = way_of(view.route), view.ego.astype(np.float64)
-    others = those_not_behind(known_vehicles(view, way))
     stretch, brakes = oncoming_stretch(view.oncoming, ROUTE_SPACING), is_braking(view.odometry)
-    if decide(way, ego, those_on(lanes, ego, brakes, reserve.short, others, ELSEWHERE), stretch, rule) == BRAKE:
+    known = known_vehicles(view, way)
+    others = known[np.array([not is_behind(each) for each in known], np.bool_)]
+    place = np.array([lane_of(lanes, ego, brakes, reserve.short, each) for each in others], np.int64)
+    if decide(way, ego, others[place == ELSEWHERE], stretch, rule) == BRAKE:
         return BRAKE
     seconds = seconds_to_look(ego, stretch, rule)
     longer = rule.ahead if stretch[0] == math.inf else reserve.meeting
     for where in (AHEAD, LATE, ON):
-        met = not_on_way(way, those_on(lanes, ego, brakes, reserve.short, others, where))
+        met = not_on_way(way, others[place == where])
         ahead, behind = (longer, rule.behind) if where == AHEAD else (0.0, 0.0)
         if not contact_ahead(way, ego, met, False, seconds, ahead, behind, rule.margin):
             continue

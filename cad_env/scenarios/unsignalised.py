@@ -1,4 +1,4 @@
-"""A junction without lights whose corners are blocked by parked vans: several connected vehicles arrive at once."""
+"""A junction without lights whose corners are blocked by parked lorries: several connected vehicles arrive at once."""
 
 from dataclasses import dataclass
 

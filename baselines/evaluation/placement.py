@@ -22,14 +22,13 @@ from typing import Any
 import numpy as np
 
 from baselines.cli import parsed, refused, say, stopped
-from baselines.evaluation.settings import ALL_SCENARIOS
+from baselines.evaluation.settings import ALL_SCENARIOS, scenarios_chosen
 from cad_env.checks import check_path, check_range, check_seed, check_several, check_text, settle
 from cad_env.config import PLACINGS, POSE_PRESETS, PoseConfig, pose_config
 from cad_env.files import replace_file
 from cad_env.numerics.rigid import between, compose, from_to
 from cad_env.pipeline.register import PLACED
 from cad_env.rules.expert import expert_of
-from cad_env.scenarios import SHIPPED, scenario_named
 from cad_env.scoring.table import text_table
 from cad_env.simulation.setup import setup_from
 from cad_env.simulation.simulation import Simulation
@@ -65,7 +64,7 @@ class PlacementSettings:
 
     def scenarios(self) -> tuple[str, ...]:
         """The names of the scenarios, in the order of the table."""
-        return SHIPPED if self.scenario == ALL_SCENARIOS else tuple(scenario_named(name).name for name in self.scenario)
+        return scenarios_chosen(self.scenario)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,13 @@ OF_CONDITIONS = ("traffic", "penetration", "collaborators", "loss", "burst", "de
 HOW = ("jobs", "backend", "out", "shard", "report", "gif")  # settings that change nothing about an episode
 
 
+def scenarios_chosen(chosen: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of the scenarios that a command is asked for, which may be ALL_SCENARIOS; ConfigError for others."""
+    from cad_env.scenarios import SHIPPED, scenario_named  # here, because it brings numba: --help need not wait
+
+    return SHIPPED if chosen == ALL_SCENARIOS else tuple(scenario_named(name).name for name in chosen)
+
+
 @dataclass(frozen=True)
 class Settings:
     """Score methods in closed loop, all on the same seeds of every scenario, and the expert beside them.
@@ -149,9 +156,7 @@ class Settings:
 
     def scenarios(self) -> tuple[str, ...]:
         """The names of the scenarios, in the order of the table."""
-        from cad_env.scenarios import SHIPPED, scenario_named  # here, for the same reason
-
-        return SHIPPED if self.scenario == ALL_SCENARIOS else tuple(scenario_named(name).name for name in self.scenario)
+        return scenarios_chosen(self.scenario)
 
     def environment(self, scenario: str, condition: str | None = None) -> dict[str, Any]:
         """The options of the environment, for a method that shares all it can."""
